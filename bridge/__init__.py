@@ -1,0 +1,1 @@
+"""The runtime: body frame, imputation, estimator, model file, sinks, run loop, command line."""

@@ -1,0 +1,121 @@
+"""The frame that poses are learned and estimated in (paper section 4.1).
+
+Origin C7; z up as in the world; x the horizontal projection of LSHO to RSHO; y = z x x.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.frame import Floats
+
+REFERENCES = ("C7", "LSHO", "RSHO")
+CONSTRUCTION = "c7-shoulders"
+
+# Below this share of the shoulders' distance their horizontal projection says nothing of the yaw
+# (somebody bent sideways or upside down): the yaw holds.
+MIN_PROJECTION = 0.3
+# Present markers must be spread this far (m, weighted root mean square) to tell the yaw.
+MIN_SPREAD = 0.05
+_FLOOR = 0.02  # m: no marker is stiffer than this to the body, so none outweighs all others
+
+
+class BodyFrame:
+    """Yaw and translation of the body, followed from frame to frame.
+
+    Each part is exact where its own markers are there: the origin with C7, the yaw with both
+    shoulders. What cannot be had exactly is what best carries the last known configuration of the
+    tracked markers onto those present (least squares, weighted by how little a marker moves
+    against the body); with none it holds.
+
+    labels: the T tracked markers, in the order of the rows given to `update`. mean: (T, 3) metres,
+    their mean positions in the body frame, the configuration before any is known. spread: (T,)
+    metres, their standard deviations there; ones where not known.
+    """
+
+    def __init__(
+        self,
+        labels: tuple[str, ...],
+        mean: npt.ArrayLike | None = None,
+        spread: npt.ArrayLike | None = None,
+    ) -> None:
+        self._c7, self._left, self._right = (labels.index(name) for name in REFERENCES)
+        self._mean = np.zeros((len(labels), 3)) if mean is None else np.array(mean, float)
+        deviation = np.ones(len(labels)) if spread is None else np.array(spread, float)
+        self._weights = 1.0 / (deviation**2 + _FLOOR**2)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets all: a new performer or sequence."""
+        self.known = False  # True once any marker was there
+        self.origin = np.zeros(3)
+        self.yaw = 0.0
+        self.rotation = np.eye(3)  # columns: the body's axes in the world
+        self.sigma = 0.0  # m, standard deviation of the origin per coordinate; 0 where exact
+        self._configuration = self._mean.copy()
+
+    def update(self, xyz: Floats) -> None:
+        """Follows the body to the tracked markers `xyz`, (T, 3) metres in the world, NaN missing."""
+        points = xyz.astype(float)
+        present = ~np.isnan(points[:, 0])
+        if not present.any():
+            self.sigma = math.inf
+            return
+        has_c7 = bool(present[self._c7])
+        yaw = self._shoulder_yaw(points)
+        if yaw is None:
+            yaw = self._fitted_yaw(points, present, has_c7)
+        if yaw != self.yaw or not self.known:
+            self.yaw = yaw
+            cos, sin = math.cos(yaw), math.sin(yaw)
+            self.rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        if has_c7:
+            self.origin = points[self._c7]
+            self.sigma = 0.0
+        else:
+            weights = self._weights[present]
+            offsets = points[present] - self._configuration[present] @ self.rotation.T
+            self.origin = weights @ offsets / weights.sum()
+            self.sigma = float(weights.sum() ** -0.5)
+        self.known = True
+        if has_c7:
+            self._configuration[present] = (points[present] - self.origin) @ self.rotation
+
+    def _shoulder_yaw(self, points: npt.NDArray[np.float64]) -> float | None:
+        """The yaw of the shoulder line; None where a shoulder is missing or the line too steep."""
+        dx, dy, dz = points[self._right] - points[self._left]
+        across = math.hypot(dx, dy)
+        # A NaN compares false.
+        if across > 0.0 and across >= MIN_PROJECTION * math.hypot(across, dz):
+            return math.atan2(dy, dx)
+        return None
+
+    def _fitted_yaw(
+        self, points: npt.NDArray[np.float64], present: npt.NDArray[np.bool_], has_c7: bool
+    ) -> float:
+        """The yaw that best turns the last configuration onto the markers present; else the last."""
+        if present[self._left] and present[self._right] and self.known:
+            return self.yaw  # the shoulder line is too steep
+        weights = self._weights[present]
+        now, before = points[present, :2], self._configuration[present, :2]
+        if has_c7:
+            now, before = now - points[self._c7, :2], before - self._configuration[self._c7, :2]
+        else:
+            now = now - weights @ now / weights.sum()
+            before = before - weights @ before / weights.sum()
+        if weights @ (before**2).sum(axis=1) / weights.sum() < MIN_SPREAD**2:
+            return self.yaw
+        dot = weights @ (before * now).sum(axis=1)
+        cross = weights @ (before[:, 0] * now[:, 1] - before[:, 1] * now[:, 0])
+        return math.atan2(cross, dot)
+
+    def to_body(self, xyz: npt.NDArray[np.floating]) -> Floats:
+        """World to body frame, (..., 3) metres."""
+        return ((xyz - self.origin) @ self.rotation).astype(np.float32)
+
+    def to_world(self, xyz: npt.NDArray[np.floating]) -> Floats:
+        """Body frame to world, (..., 3) metres."""
+        return (xyz @ self.rotation.T + self.origin).astype(np.float32)

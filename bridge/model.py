@@ -1,0 +1,150 @@
+"""The model file: an ONNX graph and its description (docs/model-file.md).
+
+Graph, per frame: inputs `x` (1, D) float32, the first D coordinates of the feature markers in the
+body frame, and `history` (h, K), the leaf weights of the h frames before (zero rows where there
+were none, in any order); outputs `z` (1, 3U), the unworn markers in the body frame, and `p`
+(1, K), the leaf weights of this frame, to be kept for the next ones.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field, fields
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnxruntime
+
+from bridge.body_frame import CONSTRUCTION
+from drivers.frame import Floats
+
+FORMAT = 1
+METADATA_KEY = "markerbridge"
+DEFAULT = "default"
+
+
+class ModelError(Exception):
+    """A file that is no model of ours, or of another version; the message names it."""
+
+
+@dataclass(frozen=True, slots=True)
+class ModelInfo:
+    """What a model file says of itself.
+
+    Feature markers are the principal ones, then the references but C7 (the origin); `mean` (F, 3)
+    and `covariance` (3F, 3F) describe them in the body frame, metres. `sigma` (U,): standard
+    deviation of the estimate's error per coordinate, metres, per unworn marker, measured on folds.
+    `sensitivity` (3U, 3F): how far an error in the features moves the estimate (the global linear
+    map). `history`: frames of 1/120 s.
+    """
+
+    estimator: str
+    labels: tuple[str, ...]
+    principal: tuple[str, ...]
+    references: tuple[str, ...]
+    history: int
+    mean: list[list[float]]
+    covariance: list[list[float]]
+    sigma: list[float]
+    sensitivity: list[list[float]]
+    training: dict[str, Any] = field(default_factory=dict)
+    accuracy: dict[str, Any] = field(default_factory=dict)
+    body_frame: str = CONSTRUCTION
+    format: int = FORMAT
+
+    @property
+    def tracked(self) -> tuple[str, ...]:
+        """What the performer wears: principal and reference markers."""
+        return self.principal + self.references
+
+    @property
+    def features(self) -> tuple[str, ...]:
+        """The tracked markers but the origin, in the order the graph wants them."""
+        return tuple(label for label in self.tracked if label != "C7")
+
+    @property
+    def unworn(self) -> tuple[str, ...]:
+        """The markers that are estimated, in the order the graph gives them."""
+        return tuple(label for label in self.labels if label not in self.tracked)
+
+    def to_json(self) -> str:
+        return json.dumps(asdict(self), separators=(",", ":"), sort_keys=True)
+
+    @classmethod
+    def from_json(cls, text: str) -> ModelInfo:
+        """Raises ValueError where the text is no description of this version."""
+        data = json.loads(text)
+        if not isinstance(data, dict) or data.get("format") != FORMAT:
+            found = data.get("format") if isinstance(data, dict) else None
+            raise ValueError(f"model format {found}, this program reads {FORMAT}")
+        names = {entry.name for entry in fields(cls)}
+        if set(data) != names:
+            raise ValueError(f"unexpected or missing entries: {sorted(set(data) ^ names)}")
+        for name in ("labels", "principal", "references"):
+            data[name] = tuple(data[name])
+        info = cls(**data)
+        shapes = {
+            "mean": (len(info.features), 3),
+            "covariance": (3 * len(info.features),) * 2,
+            "sigma": (len(info.unworn),),
+            "sensitivity": (3 * len(info.unworn), 3 * len(info.features)),
+        }
+        for name, shape in shapes.items():
+            if np.shape(getattr(info, name)) != shape:
+                raise ValueError(f"{name} is not of shape {shape}")
+        if info.body_frame != CONSTRUCTION:
+            raise ValueError(f"unknown body frame {info.body_frame}")
+        return info
+
+
+class Model:
+    """A loaded model file, ready to run."""
+
+    def __init__(self, path: str | Path) -> None:
+        """Raises ModelError; `default` names the model that ships with the package."""
+        if str(path) == DEFAULT:
+            with as_file(files("bridge") / "models" / "default.onnx") as file:
+                self._load(file)
+        else:
+            self._load(Path(path))
+
+    def _load(self, path: Path) -> None:
+        if not path.is_file():
+            raise ModelError(f"{path}: no such model file (`default` is the one that ships)")
+        options = onnxruntime.SessionOptions()
+        # One thread: the pool of the default spins a whole core between frames.
+        options.intra_op_num_threads = options.inter_op_num_threads = 1
+        options.log_severity_level = 4
+        try:
+            self._session = onnxruntime.InferenceSession(
+                str(path), options, providers=["CPUExecutionProvider"]
+            )
+            text = self._session.get_modelmeta().custom_metadata_map.get(METADATA_KEY)
+        except Exception as error:  # onnxruntime raises a class of its own per cause
+            raise ModelError(f"{path}: not a whole ONNX file: {_line(error)}") from error
+        if text is None:
+            raise ModelError(f"{path}: an ONNX file, but not one that `markerbridge train` wrote")
+        try:
+            self.info = ModelInfo.from_json(text)
+            inputs = {entry.name: entry.shape for entry in self._session.get_inputs()}
+            self.width = int(inputs["x"][1])
+            self.leaves = int(inputs["history"][1])
+            z, p = self.run(
+                np.zeros((1, self.width), np.float32), np.zeros((1, self.leaves), np.float32)
+            )
+            if z.shape != (1, 3 * len(self.info.unworn)) or p.shape != (1, self.leaves):
+                raise ValueError(f"the graph gives shapes {z.shape} and {p.shape}")
+        except Exception as error:
+            raise ModelError(f"{path}: not usable as a model: {_line(error)}") from error
+        self.path = path
+
+    def run(self, x: Floats, history: Floats) -> tuple[Floats, Floats]:
+        """z and p of one frame; shapes as at the top of this module."""
+        z, p = self._session.run(("z", "p"), {"x": x, "history": history})
+        return z, p
+
+
+def _line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0][:200]

@@ -1,0 +1,36 @@
+"""The pose: what the estimator gives and every sink takes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.frame import Floats
+
+
+class Provenance(IntEnum):
+    """Where a marker's position comes from."""
+
+    MEASURED = 0
+    IMPUTED = 1  # tracked, but missing now
+    ESTIMATED = 2  # nobody wears it
+    LOST = 3  # nothing is known any more; the position is the last one, or NaN before the first
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pose:
+    """The whole body at one moment.
+
+    index, t: the marker frame's. xyz: (M, 3) float32 metres, world, in the model's marker order.
+    provenance: (M,) uint8 of Provenance. sigma: (M,) float32, standard deviation of the error per
+    coordinate, metres.
+    """
+
+    index: int
+    t: float
+    xyz: Floats
+    provenance: npt.NDArray[np.uint8]
+    sigma: Floats

@@ -1,0 +1,1 @@
+"""Where poses go: VR engines over OSC, recordings, the view."""

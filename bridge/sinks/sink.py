@@ -1,0 +1,48 @@
+"""What every sink is: a callable that takes a pose, closable."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from bridge.model import ModelInfo
+from bridge.pose import Pose
+from drivers.frame import Floats
+
+
+class SinkError(Exception):
+    """A sink cannot be opened or written; the message names it and says what to do."""
+
+
+@dataclass(slots=True)
+class SinkContext:
+    """What a sink may know of the session.
+
+    truth: the true pose (M, 3) of a frame index where the simulator sent it, else None. rate: the
+    stream's, in Hz; set when its layout is known.
+    """
+
+    info: ModelInfo
+    truth: Callable[[int], Floats | None]
+    rate: float = 120.0
+
+
+class Sink(ABC):
+    """Called with each pose on a thread of its own, so a slow sink holds up nobody else.
+
+    waiting: how many poses may wait for it before the oldest is dropped (and counted); None: any
+    number, nothing is dropped. rate: most poses a second; beyond it the newest wins. 0: no limit.
+    """
+
+    name: str
+    waiting: int | None = 25
+    rate: float = 0.0
+
+    @abstractmethod
+    def __call__(self, pose: Pose) -> None:
+        """Sends or stores a pose. Raises OSError or SinkError where it cannot."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Ends and saves; a second call does nothing."""

@@ -1,0 +1,114 @@
+"""The types that every part of markerbridge shares: layout, marker frame, source.
+
+Positions are metres, right-handed, Z up, float32; a missing marker is a NaN row.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+
+from drivers.clock import SYSTEM_CLOCK, Clock
+
+Floats = npt.NDArray[np.float32]
+
+
+class SourceError(Exception):
+    """A source cannot be opened or read; the message names it and says what to do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """What the rows of a frame mean: marker labels in order, and the device's rate in Hz."""
+
+    labels: tuple[str, ...]
+    rate: float
+
+    def __post_init__(self) -> None:
+        if len(set(self.labels)) != len(self.labels):
+            twice = sorted({label for label in self.labels if self.labels.count(label) > 1})
+            raise ValueError(f"marker labels occur twice: {', '.join(twice)}")
+        if not (0 < self.rate < 1e6):
+            raise ValueError(f"rate {self.rate} Hz is not between 0 and 1,000,000")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MarkerFrame:
+    """One sample of all markers of a stream.
+
+    index: the device's own frame number. t: seconds on the host's monotonic clock at receipt.
+    t_device: seconds on the device's clock. xyz: (M, 3) float32 metres, in the order of
+    layout.labels, NaN rows where a marker is missing.
+    """
+
+    index: int
+    t: float
+    t_device: float
+    layout: Layout
+    xyz: Floats
+
+
+class Source(ABC):
+    """A stream of marker frames.
+
+    A driver writes one hook, `_receive`; time-outs, iteration and queueing are here. `counters`
+    counts, by name, everything that was received and everything that was not delivered.
+    """
+
+    def __init__(self, name: str, clock: Clock = SYSTEM_CLOCK) -> None:
+        self.name = name
+        self.clock = clock
+        self.counters: Counter[str] = Counter()
+        self.exhausted = False  # True once no further frame can come: the end of a file
+        self.layout: Layout | None = None
+        self._ready: deque[MarkerFrame] = deque()
+
+    @abstractmethod
+    def _receive(self, timeout: float) -> Iterable[MarkerFrame]:
+        """Waits at most `timeout` seconds for input; returns the frames it completed, if any."""
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The labels of the newest layout; empty before the first one."""
+        return self.layout.labels if self.layout else ()
+
+    def read(self, timeout: float = 1.0) -> MarkerFrame | None:
+        """The next frame, or None when `timeout` seconds pass or the source is exhausted."""
+        deadline = self.clock.now() + timeout
+        while not self._ready:
+            if self.exhausted:
+                return None
+            remaining = max(0.0, deadline - self.clock.now())
+            self._ready.extend(self._receive(remaining))
+            if not self._ready and remaining <= 0.0:
+                return None
+        self.counters["frames"] += 1
+        return self._ready.popleft()
+
+    def __iter__(self) -> Iterator[MarkerFrame]:
+        while not (self.exhausted and not self._ready):
+            frame = self.read()
+            if frame is not None:
+                yield frame
+
+    def close(self) -> None:
+        """Frees what the source holds; a second call does nothing."""
+        self.exhausted = True
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()

@@ -1,0 +1,82 @@
+"""Addresses of sources and sinks: `scheme:rest?option=value`, checked when they are taken apart."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TypeVar
+from urllib.parse import parse_qsl, urlsplit
+
+T = TypeVar("T")
+
+
+class UrlError(ValueError):
+    """An address that cannot be meant; the message names it and the part that is wrong."""
+
+
+@dataclass(slots=True)
+class Url:
+    """A parsed address. Options are taken one by one; what nobody took is an error."""
+
+    text: str
+    scheme: str
+    path: str
+    host: str
+    port: int | None
+    options: dict[str, str] = field(default_factory=dict)
+    known: list[str] = field(default_factory=list)
+
+    @classmethod
+    def parse(cls, text: str) -> Url:
+        """Takes apart `scheme:path`, `scheme:///path` or `scheme://host:port`, with `?a=b&c=d`.
+
+        Raises UrlError for a missing scheme, a bad port or an option without a value.
+        """
+        scheme, colon, rest = text.partition(":")
+        if not colon or not scheme:
+            raise UrlError(f"'{text}' has no scheme: write for example serial:/dev/ttyUSB0")
+        rest, _, query = rest.partition("?")
+        try:
+            options = dict(parse_qsl(query, strict_parsing=True)) if query else {}
+        except ValueError:
+            raise UrlError(f"'{text}': options are written ?name=value&name=value") from None
+        host, port, path = "", None, rest
+        if rest.startswith("//"):
+            parts = urlsplit("x:" + rest)
+            try:
+                host, port = parts.hostname or "", parts.port
+            except ValueError:
+                raise UrlError(f"'{text}': the port is not a number from 0 to 65535") from None
+            path = rest[2 + len(parts.netloc) :]
+        return cls(text, scheme, path, host, port, options)
+
+    def take(self, name: str, default: T, read: Callable[[str], T]) -> T:
+        """The value of option `name` through `read`, or `default`; UrlError when it is no such value."""
+        self.known.append(name)
+        raw = self.options.pop(name, None)
+        if raw is None:
+            return default
+        try:
+            return read(raw)
+        except ValueError as error:
+            raise UrlError(f"'{self.text}': option {name}={raw} is wrong: {error}") from None
+
+    def address(self, default_port: int | None = None) -> tuple[str, int]:
+        """Host and port; UrlError where one is needed and missing."""
+        port = self.port if self.port is not None else default_port
+        if port is None:
+            raise UrlError(f"'{self.text}' names no port: write {self.scheme}://127.0.0.1:9100")
+        return self.host or "127.0.0.1", port
+
+    def file_path(self) -> str:
+        """The path; UrlError when it is empty."""
+        if not self.path or self.host:
+            raise UrlError(f"'{self.text}' names no path: write {self.scheme}:PATH")
+        return self.path
+
+    def finish(self) -> None:
+        """UrlError for options that nobody took."""
+        if self.options:
+            unknown = ", ".join(sorted(self.options))
+            known = ", ".join(self.known) or "none"
+            raise UrlError(f"'{self.text}': unknown option {unknown} (known: {known})")

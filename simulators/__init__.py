@@ -1,0 +1,1 @@
+"""A device that is not there: clip or synthetic performer, corrupted, paced, as real bytes."""

@@ -1,0 +1,1 @@
+"""From captures to one model file, and how good it is."""
