@@ -58,7 +58,7 @@ class BodyFrame:
         self._configuration = self._mean.copy()
 
     def update(self, xyz: Floats) -> None:
-        """Follows the body to the tracked markers `xyz`, (T, 3) metres in the world, NaN missing."""
+        """Follows the body to the tracked markers `xyz`, (T, 3) metres, world, NaN missing."""
         points = xyz.astype(float)
         present = ~np.isnan(points[:, 0])
         if not present.any():
@@ -96,7 +96,7 @@ class BodyFrame:
     def _fitted_yaw(
         self, points: npt.NDArray[np.float64], present: npt.NDArray[np.bool_], has_c7: bool
     ) -> float:
-        """The yaw that best turns the last configuration onto the markers present; else the last."""
+        """The yaw that best turns the last configuration onto the markers present."""
         if present[self._left] and present[self._right] and self.known:
             return self.yaw  # the shoulder line is too steep
         weights = self._weights[present]

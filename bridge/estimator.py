@@ -59,7 +59,7 @@ class PoseEstimator:
         tracked: Floats = np.full((len(self._tracked), 3), np.nan, np.float32)
         known = self._rows >= 0
         tracked[known] = frame.xyz[self._rows[known]]
-        present: Mask = ~np.isnan(tracked).any(axis=1)
+        present: Mask = ~np.isnan(tracked[:, 0])
         tracked[~present] = np.nan
         body.update(tracked)
 

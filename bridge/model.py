@@ -18,6 +18,7 @@ import numpy as np
 import onnxruntime
 
 from bridge.body_frame import CONSTRUCTION
+from drivers.errors import MarkerbridgeError
 from drivers.frame import Floats
 
 FORMAT = 1
@@ -25,7 +26,7 @@ METADATA_KEY = "markerbridge"
 DEFAULT = "default"
 
 
-class ModelError(Exception):
+class ModelError(MarkerbridgeError):
     """A file that is no model of ours, or of another version; the message names it."""
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import ezc3d
 import numpy as np
 
+from drivers.c3d_check import check_c3d
 from drivers.clock import Clock
 from drivers.frame import Floats, Layout, MarkerFrame, Source, SourceError
 from drivers.marker_set import MARKERS
@@ -19,7 +20,7 @@ _UNITS = {"mm": 1e-3, "cm": 1e-2, "dm": 1e-1, "m": 1.0, "in": 0.0254, "ft": 0.30
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Clip:
-    """A recorded capture: layout, and (N, M, 3) float32 metres with NaN where a sample is missing."""
+    """A recorded capture: layout, and (N, M, 3) float32 metres, NaN where missing."""
 
     path: Path
     layout: Layout
@@ -38,6 +39,7 @@ def read_c3d(path: str | Path, labels: tuple[str, ...] | None = MARKERS) -> Clip
     if not path.is_file():
         raise SourceError(f"{path}: no such file")
     try:
+        check_c3d(path.read_bytes())
         file = ezc3d.c3d(str(path))
         point = file["parameters"]["POINT"]
         found = [
@@ -46,7 +48,8 @@ def read_c3d(path: str | Path, labels: tuple[str, ...] | None = MARKERS) -> Clip
             for label in point[key]["value"]
         ]
         rate = float(point["RATE"]["value"][0])
-        unit = str(point["UNITS"]["value"][0]).strip().lower() if "UNITS" in point else "mm"
+        units = point["UNITS"]["value"] if "UNITS" in point else []
+        unit = str(units[0]).strip().lower() if units else "mm"
         points = file["data"]["points"]
         residuals = file["data"]["meta_points"]["residuals"][0]
     except (OSError, RuntimeError, ValueError, KeyError, IndexError, MemoryError) as error:
@@ -88,7 +91,7 @@ def write_c3d(path: str | Path, layout: Layout, xyz: Floats) -> None:
     points[:3, missing] = np.nan
     file["data"]["points"] = points
     file["data"]["meta_points"]["residuals"] = np.where(missing, -1.0, 0.0)[None]
-    part = path.with_name(f".{path.name}.part")
+    part = path.with_name(f".part-{path.name}")
     try:
         file.write(str(part))
         part.replace(path)

@@ -45,7 +45,7 @@ class VirtualClock:
         heapq.heappush(self._calls, (moment, next(self._order), call))
 
     def advance(self, until: float) -> bool:
-        """Runs the next scheduled call if it is due by `until`, else jumps there; True if one ran."""
+        """Runs the next call if it is due by `until`, else jumps there; True if one ran."""
         if self._calls and self._calls[0][0] <= until:
             moment, _, call = heapq.heappop(self._calls)
             self._now = max(self._now, moment)

@@ -16,11 +16,12 @@ import numpy as np
 import numpy.typing as npt
 
 from drivers.clock import SYSTEM_CLOCK, Clock
+from drivers.errors import MarkerbridgeError
 
 Floats = npt.NDArray[np.float32]
 
 
-class SourceError(Exception):
+class SourceError(MarkerbridgeError):
     """A source cannot be opened or read; the message names it and says what to do."""
 
 

@@ -7,10 +7,12 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 from urllib.parse import parse_qsl, urlsplit
 
+from drivers.errors import UsageError
+
 T = TypeVar("T")
 
 
-class UrlError(ValueError):
+class UrlError(UsageError):
     """An address that cannot be meant; the message names it and the part that is wrong."""
 
 
@@ -51,7 +53,7 @@ class Url:
         return cls(text, scheme, path, host, port, options)
 
     def take(self, name: str, default: T, read: Callable[[str], T]) -> T:
-        """The value of option `name` through `read`, or `default`; UrlError when it is no such value."""
+        """Option `name` through `read`, or `default`. UrlError where `read` raises ValueError."""
         self.known.append(name)
         raw = self.options.pop(name, None)
         if raw is None:

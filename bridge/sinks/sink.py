@@ -8,11 +8,16 @@ from dataclasses import dataclass
 
 from bridge.model import ModelInfo
 from bridge.pose import Pose
+from drivers.errors import MarkerbridgeError
 from drivers.frame import Floats
 
 
-class SinkError(Exception):
+class SinkError(MarkerbridgeError):
     """A sink cannot be opened or written; the message names it and says what to do."""
+
+
+class ViewError(SinkError):
+    """The view cannot be shown here; the rest of a session goes on without it."""
 
 
 @dataclass(slots=True)

@@ -1,0 +1,69 @@
+"""The `markerbridge` command: names the subcommands and loads the one that is called."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from importlib import import_module
+from importlib.metadata import version
+from typing import cast
+
+from drivers.errors import MarkerbridgeError
+
+COMMANDS = {
+    "demo": (
+        "bridge.demo:main",
+        "see it work: the embedded performer, a simulated tracker, a body",
+    ),
+    "run": ("bridge.run_command:main", "a live session: markers in, the whole body out"),
+    "simulate": (
+        "bridge.cli:simulate",
+        "play a capture as a tracker would, on a serial line or OSC",
+    ),
+    "train": ("training.train_command:main", "captures to a model file"),
+    "evaluate": ("training.evaluate_command:main", "how good a model is on captures"),
+}
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Runs a subcommand. 0: done; 1: failed while running; 2: wrong usage."""
+    arguments = sys.argv[1:] if argv is None else argv
+    parser = argparse.ArgumentParser(
+        prog="markerbridge",
+        description="A handful of motion-capture markers in, a whole moving body out, live.",
+        epilog="\n".join(f"  {name:<10}{text}" for name, (_, text) in COMMANDS.items()),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=version("markerbridge"))
+    parser.add_argument("command", choices=COMMANDS, metavar="COMMAND", help="one of those below")
+    parser.add_argument("arguments", nargs=argparse.REMAINDER, help="COMMAND --help tells them")
+    chosen = parser.parse_args(arguments)
+    module, _, function = COMMANDS[chosen.command][0].partition(":")
+    try:
+        run = cast(Callable[[list[str]], int], getattr(import_module(module), function))
+        return run(chosen.arguments)
+    except MarkerbridgeError as error:
+        print(f"markerbridge {chosen.command}: error: {error}", file=sys.stderr)
+        return error.exit_status
+    except ModuleNotFoundError as error:
+        print(
+            f"markerbridge {chosen.command}: error: {error.name} is not installed: "
+            "pip install 'markerbridge[train]'",
+            file=sys.stderr,
+        )
+        return 1
+    except KeyboardInterrupt:
+        return 130
+
+
+def simulate(argv: list[str]) -> int:
+    """`markerbridge simulate`: simulators do not know models, so it is told their markers."""
+    from bridge.model import Model
+    from simulators.command import main as run
+
+    return run(argv, lambda name: Model(name).info.tracked)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

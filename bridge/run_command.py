@@ -1,0 +1,144 @@
+"""`markerbridge run`: a live session from one source to any number of sinks."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import logging
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+
+from rich.console import Console
+
+from bridge import terminal
+from bridge.estimator import PoseEstimator
+from bridge.model import DEFAULT, Model, ModelInfo
+from bridge.session import Session
+from bridge.sinks.registry import open_sink
+from bridge.sinks.sink import Sink, SinkContext, SinkError, ViewError
+from bridge.truth import Truth
+from drivers.clock import SYSTEM_CLOCK, Clock
+from drivers.errors import UsageError
+from drivers.frame import Source
+from drivers.options import checked, positive
+from drivers.registry import open_source
+
+log = logging.getLogger(__name__)
+
+
+def main(argv: list[str]) -> int:
+    """Runs the command; 0 when the session ended as it was asked to."""
+    options = _parser().parse_args(argv)
+    console = Console(stderr=True)
+    terminal.log_to(console)
+    model = Model(options.model)
+    source = open_source(options.source)
+    with open_session(source, model, options.to, options.truth) as session, stopping() as stop:
+        title = f"markerbridge run {options.source}"
+        with (
+            contextlib.nullcontext()
+            if options.json
+            else terminal.shown(console, session.status, title)
+        ):
+            session.run(stop, options.seconds)
+        session.close()
+        status = session.status()
+    if options.json:
+        json.dump(asdict(status), sys.stdout)
+        sys.stdout.write("\n")
+    else:
+        console.print(terminal.table(status, f"{title}: ended"))
+    return 0
+
+
+@contextmanager
+def open_session(
+    source: Source,
+    model: Model,
+    sinks: list[str],
+    truth_address: str | None = None,
+    clock: Clock = SYSTEM_CLOCK,
+) -> Iterator[Session]:
+    """A session with its sinks opened by address; all is closed at the end, come what may."""
+    with contextlib.ExitStack() as opened:
+        opened.enter_context(source)
+        truth = open_truth(truth_address, model.info) if truth_address else None
+        if truth:
+            opened.enter_context(truth.source)
+        context = SinkContext(model.info, truth.at if truth else lambda _index: None)
+        open_sinks: list[Sink] = []
+        for address in sinks:
+            try:
+                sink = open_sink(address, context)
+            except ViewError as error:  # nobody's session ends for want of a window
+                log.warning("%s", error)
+                continue
+            opened.callback(_quietly(sink.close))
+            open_sinks.append(sink)
+        session = Session(
+            source, PoseEstimator(model), open_sinks, context, truth=truth, clock=clock
+        )
+        opened.callback(session.close)
+        yield session
+
+
+def open_truth(address: str, info: ModelInfo) -> Truth:
+    """Listens for true poses at osc://HOST:PORT. Raises UrlError or SourceError."""
+    if not address.startswith("osc:"):
+        raise UsageError(f"--truth '{address}': write osc://HOST:PORT")
+    return Truth(open_source(address), info.labels)
+
+
+@contextmanager
+def stopping() -> Iterator[threading.Event]:
+    """An event that Ctrl-C and SIGTERM set; a second Ctrl-C interrupts for good."""
+    stop = threading.Event()
+
+    def end(number: int, frame: object) -> None:
+        if stop.is_set():
+            raise KeyboardInterrupt
+        stop.set()
+
+    before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _quietly(close: Callable[[], None]) -> Callable[[], None]:
+    """For what is closed a second time only because something else failed before."""
+
+    def call() -> None:
+        with contextlib.suppress(OSError, SinkError):
+            close()
+
+    return call
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="markerbridge run",
+        description="Reads tracked markers, estimates the whole body, and sends it on, live. "
+        "Ctrl-C ends it with a summary.",
+    )
+    add = parser.add_argument
+    add("source", metavar="SOURCE", help="serial:PATH, osc://HOST:PORT or c3d:FILE")
+    add("--model", default=DEFAULT, help="a model file (default: the one that ships)")
+    add(
+        "--to",
+        action="append",
+        default=[],
+        metavar="SINK",
+        help="vmc://HOST:PORT, osc://HOST:PORT, c3d:FILE or view: (any number of times)",
+    )
+    add("--truth", metavar="URL", help="osc://HOST:PORT: where a simulator sends the true poses")
+    add("--seconds", type=checked(positive), metavar="S", help="end after S seconds")
+    add("--json", action="store_true", help="no table; the summary as JSON on standard output")
+    return parser

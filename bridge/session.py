@@ -1,0 +1,217 @@
+"""The run loop: frames from a source, through the estimator, to every sink. All threads are here
+and in the sinks' outlets.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter, deque
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bridge.estimator import PoseEstimator
+from bridge.pose import Pose, Provenance
+from bridge.sinks.outlet import Outlet
+from bridge.sinks.sink import Sink, SinkContext, SinkError
+from bridge.statistics import Durations, Mean
+from bridge.truth import Truth, rms_mm
+from drivers.clock import SYSTEM_CLOCK, Clock
+from drivers.errors import MarkerbridgeError
+from drivers.frame import Floats, MarkerFrame, Source
+
+FIFO = 1.0  # s of frames that may wait for the estimator
+POLL = 0.1  # s between looks at whether to stop
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """A session at one moment, for the terminal and for machines; ages in seconds, errors in mm."""
+
+    seconds: float
+    frames: int
+    rate: float
+    layout_rate: float | None
+    age_p50: float | None
+    age_p99: float | None
+    age_max: float | None
+    rms_mm: float | None  # over all markers, mean of all frames with a known truth
+    rms_now_mm: float | None
+    imputed_now: tuple[str, ...]
+    imputed_samples: int
+    lost_frames: int
+    missing_indices: int
+    waiting: int
+    source: dict[str, int]
+    sinks: dict[str, dict[str, Any]]
+
+
+class Session:
+    """One performer's stream. `handle` takes a frame through; `run` does so live, with threads.
+
+    truth: where the simulator sends the clean poses, joined by frame index for the meter.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        estimator: PoseEstimator,
+        sinks: list[Sink],
+        context: SinkContext,
+        *,
+        truth: Truth | None = None,
+        clock: Clock = SYSTEM_CLOCK,
+    ) -> None:
+        self.source = source
+        self.last_pose: Pose | None = None
+        self._estimator = estimator
+        self._context = context
+        self._outlets = [Outlet(sink, clock) for sink in sinks]
+        self._truth = truth
+        self._clock = clock
+        self._started = clock.now()
+        self._fifo: deque[MarkerFrame] = deque()
+        self._wake = threading.Condition()
+        self._source_error: Exception | None = None
+        self._counters: Counter[str] = Counter()
+        self._ages = Durations()
+        self._rms = Mean()
+        self._arrivals: deque[float] = deque(maxlen=240)
+        self._closed = False
+
+    def handle(self, frame: MarkerFrame) -> Pose:
+        """Estimates the pose at one frame and hands it to every sink."""
+        self._context.rate = frame.layout.rate
+        if self._truth:
+            self._truth.receive()
+        pose = self._estimator.step(frame)
+        for outlet in self._outlets:
+            outlet.put(pose)
+        self._ages.add(self._clock.now() - frame.t)
+        self._count(frame, pose)
+        return pose
+
+    def run(self, stop: threading.Event, seconds: float | None = None) -> None:
+        """Handles frames until `stop` is set, the source ends, or `seconds` have passed.
+
+        Raises what the source raised, after all that it delivered has been handled.
+        """
+        self._started = self._clock.now()
+        end = None if seconds is None else self._started + seconds
+        for outlet in self._outlets:
+            outlet.start()
+        finished = threading.Event()
+        reader = threading.Thread(target=self._read, args=(finished,), name="source", daemon=True)
+        reader.start()
+        try:
+            while not stop.is_set() and (end is None or self._clock.now() < end):
+                with self._wake:
+                    if not self._fifo:
+                        if not reader.is_alive():
+                            break
+                        self._wake.wait(POLL)
+                    frame = self._fifo.popleft() if self._fifo else None
+                if frame is not None:
+                    self.handle(frame)
+        finally:
+            finished.set()
+            reader.join(2.0)
+        if self._source_error:
+            raise self._source_error
+
+    def close(self) -> None:
+        """Closes source and sinks, recordings whole; a second call does nothing.
+
+        Raises SinkError where a recording could not be saved, after all else is closed.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        self.source.close()
+        if self._truth:
+            self._truth.source.close()
+        errors = []
+        for outlet in self._outlets:
+            try:
+                outlet.close()
+            except SinkError as error:
+                errors.append(error)
+        if errors:
+            raise errors[0]
+
+    @property
+    def last_truth(self) -> Floats | None:
+        """The true pose at the last pose's frame, where it is known."""
+        return None if self.last_pose is None else self._context.truth(self.last_pose.index)
+
+    def status(self) -> Status:
+        """What the session has done so far."""
+        pose = self.last_pose
+        imputed: tuple[str, ...] = ()
+        if pose is not None:
+            labels = self._context.info.labels
+            at = np.flatnonzero(pose.provenance == Provenance.IMPUTED)
+            imputed = tuple(labels[marker] for marker in at)
+        return Status(
+            seconds=self._clock.now() - self._started,
+            frames=self._counters["frames"],
+            rate=self._recent_rate(),
+            layout_rate=self.source.layout.rate if self.source.layout else None,
+            age_p50=self._ages.quantile(0.50),
+            age_p99=self._ages.quantile(0.99),
+            age_max=self._ages.maximum if self._ages.count else None,
+            rms_mm=self._rms.mean,
+            rms_now_mm=self._rms.last,
+            imputed_now=imputed,
+            imputed_samples=self._counters["imputed"],
+            lost_frames=self._counters["lost"],
+            missing_indices=self._counters["missing_indices"],
+            waiting=len(self._fifo),
+            source=dict(self.source.counters) | {"fifo_overflow": self._counters["fifo_overflow"]},
+            sinks={
+                outlet.sink.name: {
+                    **{name: outlet.counters[name] for name in ("sent", "dropped", "rate_limited")},
+                    "errors": outlet.counters["errors"],
+                    "age_p50": outlet.ages.quantile(0.50),
+                    "age_p99": outlet.ages.quantile(0.99),
+                }
+                for outlet in self._outlets
+            },
+        )
+
+    def _read(self, finished: threading.Event) -> None:
+        """The reader's thread: nothing but reading, so the line is never kept waiting."""
+        try:
+            while not finished.is_set() and not self.source.exhausted:
+                frame = self.source.read(POLL)
+                if frame is None:
+                    continue
+                with self._wake:
+                    self._fifo.append(frame)
+                    if len(self._fifo) > max(2.0, FIFO * frame.layout.rate):
+                        self._fifo.popleft()
+                        self._counters["fifo_overflow"] += 1
+                    self._wake.notify()
+        except MarkerbridgeError as error:
+            self._source_error = error
+        finally:
+            with self._wake:
+                self._wake.notify()
+
+    def _count(self, frame: MarkerFrame, pose: Pose) -> None:
+        if self.last_pose is not None and frame.index > self.last_pose.index + 1:
+            self._counters["missing_indices"] += frame.index - self.last_pose.index - 1
+        self.last_pose = pose
+        self._counters["frames"] += 1
+        self._counters["imputed"] += int((pose.provenance == Provenance.IMPUTED).sum())
+        self._counters["lost"] += bool((pose.provenance == Provenance.LOST).all())
+        self._arrivals.append(frame.t)
+        truth = self._context.truth(frame.index)
+        if truth is not None:
+            self._rms.add(rms_mm(pose.xyz, truth))
+
+    def _recent_rate(self) -> float:
+        if len(self._arrivals) < 2 or self._arrivals[-1] <= self._arrivals[0]:
+            return 0.0
+        return (len(self._arrivals) - 1) / (self._arrivals[-1] - self._arrivals[0])

@@ -1,0 +1,117 @@
+"""A sink's own thread and queue: poses wait here, and what is dropped is counted."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections import Counter, deque
+
+from bridge.pose import Pose
+from bridge.sinks.sink import Sink, SinkError
+from bridge.statistics import Durations
+from drivers.clock import Clock
+
+log = logging.getLogger(__name__)
+
+BURST = 0.1  # s: a rate limit is kept over this time, so jitter alone drops nothing
+FLUSH = 2.0  # s that a sink gets at the end for what still waits
+
+
+class Outlet:
+    """Delivers poses to one sink. Without `start`, `put` delivers at once, on the caller's thread.
+
+    Counts `sent`, `dropped` (the queue was full), `rate_limited` and `errors`. A sink that raises
+    loses that pose and no other.
+    """
+
+    def __init__(self, sink: Sink, clock: Clock) -> None:
+        self.sink = sink
+        self.counters: Counter[str] = Counter()
+        self.ages = Durations()
+        self._clock = clock
+        self._queue: deque[Pose] = deque()
+        self._wake = threading.Condition()
+        self._closing = False
+        self._thread: threading.Thread | None = None
+        self._tokens = self._most = max(1.0, sink.rate * BURST)
+        self._refilled = clock.now()
+
+    def start(self) -> None:
+        """From now on poses are delivered by a thread of the outlet's own."""
+        self._thread = threading.Thread(target=self._work, name=self.sink.name, daemon=True)
+        self._thread.start()
+
+    def put(self, pose: Pose) -> None:
+        """Takes a pose; drops the oldest waiting one where too many wait."""
+        if self._thread is None:
+            if self._wait_for_token() <= 0:
+                self._deliver(pose)
+            else:
+                self.counters["rate_limited"] += 1
+            return
+        with self._wake:
+            self._queue.append(pose)
+            if self.sink.waiting is not None and len(self._queue) > self.sink.waiting:
+                self._queue.popleft()
+                self.counters["dropped"] += 1
+            self._wake.notify()
+
+    def close(self) -> None:
+        """Delivers what still waits (a recorder all of it, others for two seconds), then closes.
+
+        Raises SinkError where the sink cannot save.
+        """
+        if self._thread is not None:
+            with self._wake:
+                self._closing = True
+                self._wake.notify()
+            self._thread.join(None if self.sink.waiting is None else FLUSH)
+            self._thread = None
+        try:
+            self.sink.close()
+        except OSError as error:
+            raise SinkError(f"{self.sink.name}: {error}") from error
+
+    def _work(self) -> None:
+        while True:
+            with self._wake:
+                while not self._queue and not self._closing:
+                    self._wake.wait()
+                if not self._queue:
+                    return
+                pose = self._queue.popleft()
+            wait = self._wait_for_token()
+            if wait > 0:
+                self._clock.sleep_until(self._clock.now() + wait)
+                self._wait_for_token()
+                with self._wake:
+                    self.counters["rate_limited"] += len(self._queue)
+                    pose = self._queue.pop() if self._queue else pose
+                    self._queue.clear()
+            self._deliver(pose)
+
+    def _wait_for_token(self) -> float:
+        """Takes a token of the rate limit if there is one; else the seconds until there is."""
+        if not self.sink.rate:
+            return 0.0
+        now = self._clock.now()
+        self._tokens = min(self._most, self._tokens + (now - self._refilled) * self.sink.rate)
+        self._refilled = now
+        if self._tokens < 1.0:
+            return (1.0 - self._tokens) / self.sink.rate
+        self._tokens -= 1.0
+        return 0.0
+
+    def _deliver(self, pose: Pose) -> None:
+        try:
+            self.sink(pose)
+        except Exception as error:
+            self._failed(error)
+            return
+        self.counters["sent"] += 1
+        self.ages.add(self._clock.now() - pose.t)
+
+    def _failed(self, error: Exception) -> None:
+        self.counters["errors"] += 1
+        if self.counters["errors"] == 1:
+            log.warning("%s: %s (said once; counted from now on)", self.sink.name, error)

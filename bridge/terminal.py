@@ -1,0 +1,108 @@
+"""A session on the terminal: a live table, plain lines in a pipe, a summary at the end."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from rich.console import Console
+from rich.live import Live
+from rich.logging import RichHandler
+from rich.table import Table
+
+from bridge.session import Status
+
+LIVE_EVERY = 0.25  # s
+LINE_EVERY = 5.0  # s, where the output is no terminal
+
+
+@contextmanager
+def shown(console: Console, status: Callable[[], Status], title: str) -> Iterator[None]:
+    """Shows a running session until the block ends."""
+    stop = threading.Event()
+    live = (
+        Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
+    )
+
+    def show() -> None:
+        every = LIVE_EVERY if live else LINE_EVERY
+        while not stop.wait(every):
+            if live:
+                live.update(table(status(), title), refresh=True)
+            else:
+                console.print(line(status()), highlight=False, soft_wrap=True)
+
+    thread = threading.Thread(target=show, name="terminal", daemon=True)
+    if live:
+        live.start()
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+        if live:
+            live.stop()
+
+
+def log_to(console: Console) -> None:
+    """Warnings go where the table is, so that they do not tear it."""
+    handler = RichHandler(console=console, show_time=False, show_path=False, markup=False)
+    logging.basicConfig(level=logging.WARNING, format="%(message)s", handlers=[handler], force=True)
+
+
+def table(status: Status, title: str) -> Table:
+    """The state of a session, a row a fact."""
+    view = Table(title=title, title_justify="left", show_header=False, pad_edge=False)
+    view.add_column(style="cyan", no_wrap=True)
+    view.add_column()
+    for name, value in _facts(status):
+        view.add_row(name, value)
+    return view
+
+
+def line(status: Status) -> str:
+    """The state of a session in one line."""
+    return time.strftime("%H:%M:%S ") + " | ".join(
+        f"{name} {value}" for name, value in _facts(status) if name != "on the wire"
+    )
+
+
+def _facts(status: Status) -> Iterator[tuple[str, str]]:
+    source = dict(status.source)
+    received = source.pop("frames", 0)
+    nominal = f" of {status.layout_rate:g}" if status.layout_rate else ""
+    yield "running", f"{status.seconds:.0f} s"
+    lost = f", {status.missing_indices} never came" if status.missing_indices else ""
+    yield "frames in", f"{received}{lost}"
+    yield "poses out", f"{status.frames}"
+    yield "rate", f"{status.rate:.1f}{nominal} Hz"
+    yield "age of the pose", f"p50 {_ms(status.age_p50)}, p99 {_ms(status.age_p99)}"
+    share = status.imputed_samples / max(1, status.frames)
+    now = f" (now {', '.join(status.imputed_now)})" if status.imputed_now else ""
+    yield "markers imputed", f"{status.imputed_samples}, {share:.2f} a frame{now}"
+    if status.lost_frames:
+        yield "frames without markers", f"{status.lost_frames}"
+    if status.rms_mm is not None and status.rms_now_mm is not None:
+        yield "RMS to the truth", f"{status.rms_mm:.1f} mm (now {status.rms_now_mm:.0f} mm)"
+    for name, sink in status.sinks.items():
+        trouble = "".join(
+            f", {sink[key]} {word}"
+            for key, word in (
+                ("dropped", "dropped"),
+                ("rate_limited", "over its rate"),
+                ("errors", "failed"),
+            )
+            if sink[key]
+        )
+        ages = f", age p50 {_ms(sink['age_p50'])}, p99 {_ms(sink['age_p99'])}"
+        yield f"to {name}", f"{sink['sent']} poses{trouble}{ages if sink['sent'] else ''}"
+    counts = ", ".join(f"{name} {count}" for name, count in sorted(source.items()) if count)
+    yield "on the wire", counts or "nothing yet"
+
+
+def _ms(seconds: float | None) -> str:
+    return "-" if seconds is None else f"{seconds * 1000:.2f} ms"

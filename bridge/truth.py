@@ -1,0 +1,43 @@
+"""The true pose, where a simulator sends it: for meter and view, never for the estimator."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+
+import numpy as np
+
+from drivers.frame import Floats, Source
+
+KEPT = 1024  # poses: as long as any sink may lag behind
+
+
+class Truth:
+    """True poses by frame index, in the model's marker order, NaN where the capture has none."""
+
+    def __init__(self, source: Source, labels: tuple[str, ...]) -> None:
+        self.source = source
+        self._labels = labels
+        self._poses: OrderedDict[int, Floats] = OrderedDict()
+
+    def receive(self) -> None:
+        """Takes in all that has come. The simulator sends a truth before its frame."""
+        while (frame := self.source.read(0.0)) is not None:
+            rows = {label: row for row, label in enumerate(frame.layout.labels)}
+            pose: Floats = np.full((len(self._labels), 3), np.nan, np.float32)
+            for at, label in enumerate(self._labels):
+                if label in rows:
+                    pose[at] = frame.xyz[rows[label]]
+            self._poses[frame.index] = pose
+            if len(self._poses) > KEPT:
+                self._poses.popitem(last=False)
+
+    def at(self, index: int) -> Floats | None:
+        """The true pose (M, 3) of a frame, or None."""
+        return self._poses.get(index)
+
+
+def rms_mm(xyz: Floats, truth: Floats) -> float:
+    """Root mean squared distance over the markers (..., 3) whose truth is there, mm; else NaN."""
+    squared = ((xyz - truth) ** 2).sum(axis=-1)
+    there = ~np.isnan(squared)
+    return float(1000 * np.sqrt(squared[there].mean())) if there.any() else float("nan")

@@ -1,0 +1,1 @@
+"""What a person sees of the session: bodies, floor and meter, drawn by Open3D in a child process."""

@@ -1,0 +1,59 @@
+from __future__ import annotations
+
+import pytest
+
+from drivers.frame import Layout, SourceError
+from drivers.registry import open_source
+from drivers.url import Url, UrlError
+
+
+@pytest.mark.parametrize(
+    ("address", "words"),
+    [
+        ("nonsense", "has no scheme"),
+        ("carrier-pigeon:/x", "is no source: known are serial, osc, c3d"),
+        ("serial:", "names no path"),
+        ("serial:/dev/null?codec=morse", "unknown codec morse (known: cobs)"),
+        ("serial:/dev/null?baud=fast", "option baud=fast is wrong"),
+        ("serial:/dev/null?boud=9600", "unknown option boud (known: baud, codec)"),
+        ("serial:/dev/null?baud", "options are written ?name=value"),
+        ("osc://127.0.0.1", "names no port"),
+        ("osc://127.0.0.1:70000", "not a number from 0 to 65535"),
+        ("osc://127.0.0.1:0?dialect=x", "unknown dialect x (known: native)"),
+        ("c3d:a.c3d?speed=-1", "a factor above 0, or max"),
+    ],
+)
+def test_an_address_that_cannot_be_meant_is_refused_in_plain_words(
+    address: str, words: str
+) -> None:
+    with pytest.raises(UrlError) as caught:
+        open_source(address)
+    assert words in str(caught.value)
+    assert caught.value.exit_status == 2
+
+
+def test_a_source_that_is_not_there_is_named() -> None:
+    with pytest.raises(SourceError, match=r"cannot open serial port /dev/no-such-port"):
+        open_source("serial:/dev/no-such-port")
+    with pytest.raises(SourceError, match=r"no-such\.c3d: no such file"):
+        open_source("c3d:no-such.c3d")
+
+
+def test_both_ways_to_write_a_path_are_the_same() -> None:
+    assert Url.parse("serial:/dev/x").file_path() == Url.parse("serial:///dev/x").file_path()
+
+
+def test_a_second_listener_on_a_port_is_refused() -> None:
+    from drivers.osc_udp import OscSource
+
+    with open_source("osc://127.0.0.1:0") as first:
+        assert isinstance(first, OscSource)
+        with pytest.raises(SourceError, match="is another program using it"):
+            open_source(f"osc://127.0.0.1:{first.port}")
+
+
+def test_a_layout_refuses_double_labels_and_impossible_rates() -> None:
+    with pytest.raises(ValueError, match="occur twice: C7"):
+        Layout(("C7", "LSHO", "C7"), 120.0)
+    with pytest.raises(ValueError, match="rate 0"):
+        Layout(("C7",), 0.0)

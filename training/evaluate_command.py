@@ -1,0 +1,137 @@
+"""`markerbridge evaluate`: how good a model is on captures, next to the nearest neighbour."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from bridge.model import Model
+from drivers.errors import MarkerbridgeError
+from drivers.options import checked
+from simulators.corruption import Faults, parse_gaps, parse_noise, parse_share
+from training.dataset import load, load_training
+from training.evaluation import evaluate, report
+from training.nearest_neighbour import NearestNeighbour
+from training.poses import body_poses
+from training.progress import progress
+
+_COLUMNS = (
+    ("rms_mm", "RMS mm", ".1f"),
+    ("rms_all_mm", "all 41", ".1f"),
+    ("jerk_mm", "jerk mm", ".2f"),
+    ("roughness", "rough", ".2f"),
+    ("nn_rms_mm", "NN RMS", ".1f"),
+    ("nn_jerk_mm", "NN jerk", ".2f"),
+    ("rms_ratio", "RMS/NN", ".3f"),
+    ("jerk_ratio", "jerk/NN", ".3f"),
+)
+_WIDTH = 140  # of the table in a pipe, where no terminal sets it
+
+
+def main(argv: list[str]) -> int:
+    """Runs the command. Raises MarkerbridgeError."""
+    options = _parser().parse_args(argv)
+    errors = Console(stderr=True)
+
+    def warn(text: str) -> None:
+        errors.print(text, style="yellow", markup=False, highlight=False, soft_wrap=True)
+
+    model = Model(options.model)
+    takes = load(options.data, options.split, warn)
+    baseline = None
+    if options.train is not None:
+        poses = [body_poses(take.xyz) for take in load_training(options.train, warn)]
+        baseline = NearestNeighbour(np.concatenate(poses), model.info)
+    results = []
+    with progress(errors, sum(len(take.xyz) for take in takes)) as advance:
+        faults = Faults(options.noise, options.drop, options.gaps)
+        for take in takes:
+            results += evaluate(model, [take], faults, options.seed, baseline)
+            advance(take.name, len(take.xyz))
+    found = report(results)
+    _print(found)
+    if options.json is not None:
+        _write_json(options.json, found)
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="markerbridge evaluate",
+        description="Runs a model over captures, frame by frame as `markerbridge run` does, and "
+        "reports its errors over the markers that nobody wears.",
+    )
+    add = parser.add_argument
+    add("model", metavar="MODEL", help="a model file, or default")
+    add("data", metavar="DATA", type=Path, help="a folder of C3D files")
+    add("--split", metavar="NAME", help="only the files that manifest.csv puts there, e.g. test")
+    add(
+        "--train",
+        metavar="DATA",
+        type=Path,
+        help="the folder whose training poses the nearest-neighbour baseline searches",
+    )
+    add(
+        "--noise",
+        type=checked(parse_noise),
+        default=0.0,
+        metavar="2mm",
+        help="Gaussian, per coordinate",
+    )
+    add(
+        "--drop",
+        type=checked(parse_share),
+        default=0.0,
+        metavar="5%",
+        help="samples missing, frame by frame",
+    )
+    add(
+        "--gaps",
+        type=checked(parse_gaps),
+        metavar="20%:10-100",
+        help="samples missing in bursts of so many frames",
+    )
+    add("--seed", type=int, default=0, help="of noise and missing samples (default: 0)")
+    add("--json", type=Path, metavar="FILE", help="writes the figures there as well")
+    return parser
+
+
+def _print(found: dict[str, Any]) -> None:
+    table = Table()
+    table.add_column("sequence", overflow="fold")
+    for title in ("frames", *(title for _, title, _ in _COLUMNS)):
+        table.add_column(title, justify="right", no_wrap=True)
+    for row in found["sequences"]:
+        table.add_row(row["file"], str(row["frames"]), *_cells(row))
+    table.add_section()
+    total = sum(row["frames"] for row in found["sequences"])
+    table.add_row("mean", str(total), *_cells(found["mean"]), style="bold")
+    console = Console()
+    if not console.is_terminal:
+        console.width = _WIDTH
+    console.print(table)
+    latency = found["latency_us"]
+    if latency["p50"] is not None:
+        console.print(
+            f"one frame takes {latency['p50']:.0f} µs (p50), {latency['p99']:.0f} µs (p99)",
+            highlight=False,
+        )
+
+
+def _cells(row: dict[str, float | None]) -> Sequence[str]:
+    values = ((row[name], form) for name, _, form in _COLUMNS)
+    return ["-" if value is None else format(value, form) for value, form in values]
+
+
+def _write_json(path: Path, found: dict[str, Any]) -> None:
+    try:
+        path.write_text(json.dumps(found, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise MarkerbridgeError(f"cannot write {path}: {error.strerror}") from error

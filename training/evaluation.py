@@ -1,0 +1,172 @@
+"""Runs the estimator over captures, frame by frame as the bridge does, and scores it."""
+
+from __future__ import annotations
+
+import time
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from bridge.body_frame import BodyFrame
+from bridge.estimator import PoseEstimator
+from bridge.model import Model, ModelInfo
+from drivers.frame import Floats, Layout, MarkerFrame
+from drivers.marker_set import MARKERS
+from simulators.corruption import Corruption, Faults
+from training.dataset import Take
+from training.metrics import jerk, rms, roughness
+from training.nearest_neighbour import NearestNeighbour
+
+_WARM = 10  # calls at the start of a sequence that its latency leaves out
+
+
+@dataclass(frozen=True, slots=True)
+class Scores:
+    """Errors in mm; None where there is nothing to score, or no baseline. Ratios are to it."""
+
+    rms_mm: float | None
+    rms_all_mm: float | None
+    jerk_mm: float | None
+    roughness: float | None
+    nn_rms_mm: float | None = None
+    nn_jerk_mm: float | None = None
+
+    def to_json(self) -> dict[str, float | None]:
+        return asdict(self) | {
+            "rms_ratio": _ratio(self.rms_mm, self.nn_rms_mm),
+            "jerk_ratio": _ratio(self.jerk_mm, self.nn_jerk_mm),
+        }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """One sequence's scores. squared_error: (U,) m², per unworn marker, mean over coordinates and
+    frames, NaN where the truth lacks it; seconds: (N,), each warm call from frame to pose.
+    """
+
+    file: str
+    frames: int
+    scores: Scores
+    squared_error: npt.NDArray[np.float64]
+    seconds: npt.NDArray[np.float64]
+
+
+def evaluate(
+    model: Model,
+    takes: Sequence[Take],
+    faults: Faults | None = None,
+    seed: int = 0,
+    baseline: NearestNeighbour | None = None,
+    done: Callable[[int], None] = lambda frames: None,
+) -> list[Result]:
+    """Scores each take; `done` is told the frames of each one when it is finished.
+
+    Each sequence has faults of its own, by `seed` and its name: the order does not matter.
+    """
+    estimator = PoseEstimator(model)
+    results = []
+    for take in takes:
+        corruption = Corruption(
+            faults or Faults(), len(model.info.tracked), [seed, zlib.crc32(take.name.encode())]
+        )
+        tracked = [MARKERS.index(label) for label in model.info.tracked]
+        measured = np.array([corruption.apply(frame) for frame in take.xyz[:, tracked]])
+        results.append(_evaluate_one(estimator, take, measured, baseline))
+        done(len(take.xyz))
+    return results
+
+
+def mean_scores(results: Sequence[Result]) -> Scores:
+    """The mean over sequences of each score, those without it left out."""
+    rows = [asdict(result.scores) for result in results]
+    return Scores(**{name: _mean([row[name] for row in rows]) for name in rows[0]})
+
+
+def report(results: Sequence[Result]) -> dict[str, Any]:
+    """The evaluation as JSON holds it."""
+    seconds = np.concatenate([result.seconds for result in results])
+    latency = np.percentile(seconds * 1e6, [50, 99]) if len(seconds) else (None, None)
+    return {
+        "mean": mean_scores(results).to_json(),
+        "sequences": [
+            {"file": result.file, "frames": result.frames, **result.scores.to_json()}
+            for result in results
+        ],
+        "latency_us": {
+            name: None if value is None else round(float(value), 1)
+            for name, value in zip(("p50", "p99"), latency, strict=True)
+        },
+    }
+
+
+def _evaluate_one(
+    estimator: PoseEstimator, take: Take, measured: Floats, baseline: NearestNeighbour | None
+) -> Result:
+    """measured: (N, T, 3) metres, the tracked markers as they reach the estimator."""
+    info = estimator.model.info
+    truth = take.xyz[:, [MARKERS.index(label) for label in info.labels]]
+    unworn = [info.labels.index(label) for label in info.unworn]
+    layout = Layout(info.tracked, take.rate)
+    estimate = np.empty_like(truth)
+    seconds = np.empty(len(truth))
+    estimator.reset()
+    for index, xyz in enumerate(measured):
+        frame = MarkerFrame(index, index / take.rate, index / take.rate, layout, xyz)
+        start = time.perf_counter()
+        pose = estimator.step(frame)
+        seconds[index] = time.perf_counter() - start
+        estimate[index] = pose.xyz
+    nearest = None if baseline is None else _nearest(baseline, info, measured)
+    error = (estimate[:, unworn].astype(float) - truth[:, unworn]) ** 2
+    there = ~np.isnan(error)
+    count = there.sum(axis=(0, 2))
+    squared = np.where(there, error, 0.0).sum(axis=(0, 2))
+    return Result(
+        file=take.name,
+        frames=len(truth),
+        scores=Scores(
+            rms_mm=rms(estimate[:, unworn], truth[:, unworn]),
+            rms_all_mm=rms(estimate, truth),
+            jerk_mm=jerk(estimate[:, unworn], truth[:, unworn], take.rate),
+            roughness=roughness(estimate[:, unworn], truth[:, unworn]),
+            nn_rms_mm=None if nearest is None else rms(nearest, truth[:, unworn]),
+            nn_jerk_mm=None if nearest is None else jerk(nearest, truth[:, unworn], take.rate),
+        ),
+        squared_error=np.divide(squared, count, out=np.full(len(count), np.nan), where=count > 0),
+        seconds=seconds[_WARM:],
+    )
+
+
+def _nearest(baseline: NearestNeighbour, info: ModelInfo, measured: Floats) -> Floats:
+    """The baseline's unworn markers (N, U, 3) in the world, by the body frame of the estimator."""
+    features = [info.tracked.index(label) for label in info.features]
+    mean = np.zeros((len(info.tracked), 3))
+    mean[features] = info.mean
+    spread = np.zeros(len(info.tracked))
+    spread[features] = np.sqrt(np.diag(info.covariance).reshape(-1, 3).mean(axis=1))
+    body = BodyFrame(info.tracked, mean, spread)
+    searched = np.empty((len(measured), len(features), 3), np.float32)
+    rotations = np.empty((len(measured), 3, 3))
+    origins = np.full((len(measured), 1, 3), np.nan)
+    for index, frame in enumerate(measured):
+        body.update(frame)
+        searched[index] = body.to_body(frame[features])
+        rotations[index] = body.rotation
+        if body.known:
+            origins[index] = body.origin
+    world = baseline.find(searched) @ rotations.transpose(0, 2, 1) + origins
+    found: Floats = world.astype(np.float32)
+    return found
+
+
+def _ratio(value: float | None, base: float | None) -> float | None:
+    return value / base if value is not None and base else None
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    there = [value for value in values if value is not None]
+    return sum(there) / len(there) if there else None

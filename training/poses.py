@@ -1,0 +1,23 @@
+"""Captures as poses in the body frame (paper section 4.1): what everything is trained on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from bridge.body_frame import BodyFrame
+from drivers.frame import Floats
+from drivers.marker_set import MARKERS
+
+
+def body_poses(xyz: Floats) -> Floats:
+    """The complete frames of one take, (N, 41, 3) metres in the world, in the body frame.
+
+    Frames that lack any marker are left out: a model learns from whole poses.
+    """
+    body = BodyFrame(MARKERS)
+    poses = np.empty_like(xyz)
+    for index, frame in enumerate(xyz):
+        body.update(frame)
+        poses[index] = body.to_body(frame)
+    complete: Floats = poses[~np.isnan(poses).any(axis=(1, 2))]
+    return complete

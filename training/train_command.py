@@ -1,0 +1,172 @@
+"""`markerbridge train`: captures in, one model file out."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from bridge.body_frame import REFERENCES
+from bridge.model import ModelInfo
+from drivers.errors import MarkerbridgeError, UsageError
+from drivers.marker_set import MARKERS
+from training.dataset import TEST, digest, load, load_training, manifest_splits
+from training.export import to_onnx
+from training.pipeline import FIT_WORK, RECIPES, choose_principal, folds, prepare, train
+from training.progress import progress
+
+MAX_HISTORY = 240  # two seconds
+
+
+def main(argv: list[str]) -> int:
+    """Runs the command. Raises MarkerbridgeError; UsageError for what cannot be meant."""
+    options = _parser().parse_args(argv)
+    start = time.monotonic()
+    wish = None if options.principal is None else check_principal(options.principal)
+    if options.out.suffix != ".onnx":
+        raise UsageError(f"--out {options.out}: the name of a model file ends in .onnx")
+    errors = Console(stderr=True)
+
+    def warn(text: str) -> None:
+        errors.print(text, style="yellow", markup=False, highlight=False, soft_wrap=True)
+
+    recipe = RECIPES[options.estimator]
+    if options.history is not None:
+        recipe = replace(recipe, history=options.history)
+    takes = load_training(options.data, warn)
+    tests = load(options.data, TEST, warn) if TEST in manifest_splits(options.data) else []
+    groups = folds(takes) if options.folds else {}
+    if not groups:
+        warn("no folds: the accuracy in the model file is that on its own training captures")
+    work = sum(len(take.xyz) for take in takes) + (len(groups) + 1) * FIT_WORK
+    with progress(errors, work) as advance:
+        prepared = prepare(takes, recipe, advance)
+        principal = wish or choose_principal(prepared, options.seed)
+        fitted = train(prepared, tests, principal, recipe, options.seed, groups, advance)
+    used = fitted.info.training | {"data": digest(options.data, takes)}
+    info = replace(fitted.info, training=used)
+    content = to_onnx(fitted.graph, info)
+    record = _record(argv, info, len(content), time.monotonic() - start)
+    _write(options.out, content)
+    _write(options.out.with_suffix(".json"), record.encode())
+    _summarise(errors, options.out, info, len(content))
+    return 0
+
+
+def check_principal(text: str) -> tuple[str, ...]:
+    """The labels of `A,B,...`. Raises UsageError for those that cannot be principal markers."""
+    labels = tuple(label.strip() for label in text.split(","))
+    unknown = [label for label in labels if label not in MARKERS]
+    if unknown:
+        raise UsageError(f"--principal: {', '.join(unknown)} not in the marker set")
+    references = [label for label in labels if label in REFERENCES]
+    if references:
+        raise UsageError(
+            f"--principal: {', '.join(references)} are references, worn in any case: leave them out"
+        )
+    if len(set(labels)) != len(labels):
+        raise UsageError("--principal: a marker is named twice")
+    return labels
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="markerbridge train",
+        description="Trains a model on a folder of C3D files: on the split train alone where its "
+        "manifest.csv has splits.",
+    )
+    add = parser.add_argument
+    add("data", metavar="DATA", type=Path, help="a folder of C3D files")
+    add(
+        "--out",
+        required=True,
+        type=Path,
+        metavar="MODEL.onnx",
+        help="the model file; its training record goes beside it, as .json",
+    )
+    add(
+        "--principal",
+        metavar="A,B,...",
+        help="the principal markers; without it they are chosen from the data",
+    )
+    add(
+        "--estimator",
+        choices=tuple(RECIPES),
+        default="local",
+        help="paper: the plain method; local (default): affine ridge maps, soft votes",
+    )
+    add("--history", type=_history, metavar="H", help="frames of 1/120 s that the mixture spans")
+    add("--seed", type=int, default=0, help="of all that is random (default: 0)")
+    add(
+        "--no-folds",
+        dest="folds",
+        action="store_false",
+        help="do not measure the accuracy on people left out: faster",
+    )
+    return parser
+
+
+def _history(text: str) -> int:
+    if not (text.isdecimal() and int(text) <= MAX_HISTORY):
+        raise argparse.ArgumentTypeError(f"'{text}' is no number of frames up to {MAX_HISTORY}")
+    return int(text)
+
+
+def _record(argv: list[str], info: ModelInfo, size: int, seconds: float) -> str:
+    """What was done and what came of it, for a reader; names no path of this machine."""
+    entry: dict[str, Any] = {
+        "command": "markerbridge train " + " ".join(_without_paths(argv)),
+        "markers": {"principal": info.principal, "references": info.references},
+        "accuracy": info.accuracy,
+        "sigma_mm": {
+            label: round(1000 * sigma, 1)
+            for label, sigma in zip(info.unworn, info.sigma, strict=True)
+        },
+        "training": info.training,
+        "file": {"bytes": size},
+        "cost": {
+            "seconds": round(seconds),
+            "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024,
+        },
+    }
+    return json.dumps(entry, indent=2, allow_nan=False) + "\n"
+
+
+def _without_paths(argv: list[str]) -> list[str]:
+    return [Path(word).name if "/" in word else word for word in argv]
+
+
+def _write(path: Path, content: bytes) -> None:
+    """The file appears whole or not at all."""
+    part = path.with_name(f".part-{path.name}")
+    try:
+        part.write_bytes(content)
+        part.replace(path)
+    except OSError as error:
+        raise MarkerbridgeError(f"cannot write {path}: {error.strerror}") from error
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _summarise(console: Console, path: Path, info: ModelInfo, size: int) -> None:
+    reached = [
+        f"{what} {scores['rms_mm']:.1f} mm RMS"
+        for what, scores in (
+            ("people left out", (info.accuracy["folds"] or {}).get("mean")),
+            ("test split", info.accuracy["test"]),
+        )
+        if scores
+    ]
+    lines = (
+        f"{path}: {size / 1e6:.1f} MB, {info.training['leaves']} local models",
+        f"principal markers: {', '.join(info.principal)}",
+        *reached,
+    )
+    for line in lines:
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
