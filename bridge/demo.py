@@ -106,6 +106,7 @@ def _introduce(console: Console, options: argparse.Namespace, sinks: list[str]) 
         f"(1 mm noise, 5 % of samples dropped), the whole body to {to}, "
         f"for {options.seconds:g} s. Ctrl-C ends it.",
         highlight=False,
+        soft_wrap=not console.is_terminal,
     )
 
 

@@ -4,6 +4,7 @@ and in the sinks' outlets.
 
 from __future__ import annotations
 
+import logging
 import threading
 from collections import Counter, deque
 from dataclasses import dataclass
@@ -19,7 +20,9 @@ from bridge.statistics import Durations, Mean
 from bridge.truth import Truth, rms_mm
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import MarkerbridgeError
-from drivers.frame import Floats, MarkerFrame, Source
+from drivers.frame import Floats, Layout, MarkerFrame, Source, SourceError
+
+log = logging.getLogger(__name__)
 
 FIFO = 1.0  # s of frames that may wait for the estimator
 POLL = 0.1  # s between looks at whether to stop
@@ -78,11 +81,16 @@ class Session:
         self._ages = Durations()
         self._rms = Mean()
         self._arrivals: deque[float] = deque(maxlen=240)
+        self._layout: Layout | None = None
         self._closed = False
 
     def handle(self, frame: MarkerFrame) -> Pose:
-        """Estimates the pose at one frame and hands it to every sink."""
-        self._context.rate = frame.layout.rate
+        """Estimates the pose at one frame and hands it to every sink.
+
+        Raises SourceError where the first layout has no marker that the model tracks.
+        """
+        if frame.layout is not self._layout:
+            self._adopt(frame.layout)
         if self._truth:
             self._truth.receive()
         pose = self._estimator.step(frame)
@@ -117,6 +125,8 @@ class Session:
         finally:
             finished.set()
             reader.join(2.0)
+        while self._fifo:  # what has come in goes out
+            self.handle(self._fifo.popleft())
         if self._source_error:
             raise self._source_error
 
@@ -179,6 +189,23 @@ class Session:
                 for outlet in self._outlets
             },
         )
+
+    def _adopt(self, layout: Layout) -> None:
+        """Takes in a new layout; says which tracked markers the stream does not carry."""
+        tracked = self._context.info.tracked
+        lacking = [label for label in tracked if label not in layout.labels]
+        if len(lacking) == len(tracked) and self._layout is None:
+            raise SourceError(
+                f"{self.source.name}: none of the markers that the model tracks "
+                f"({', '.join(tracked)}) is among the stream's ({', '.join(layout.labels)})"
+            )
+        if lacking:
+            log.warning(
+                "%s: the stream has no %s; imputed throughout",
+                *(self.source.name, ", ".join(lacking)),
+            )
+        self._layout = layout
+        self._context.rate = layout.rate
 
     def _read(self, finished: threading.Event) -> None:
         """The reader's thread: nothing but reading, so the line is never kept waiting."""

@@ -49,9 +49,13 @@ def shown(console: Console, status: Callable[[], Status], title: str) -> Iterato
 
 
 def log_to(console: Console) -> None:
-    """Warnings go where the table is, so that they do not tear it."""
-    handler = RichHandler(console=console, show_time=False, show_path=False, markup=False)
-    logging.basicConfig(level=logging.WARNING, format="%(message)s", handlers=[handler], force=True)
+    """Warnings go where the table is, so that they do not tear it; a line each in a pipe."""
+    handler: logging.Handler = logging.StreamHandler()
+    form = "markerbridge: %(levelname)s: %(message)s"
+    if console.is_terminal:
+        handler = RichHandler(console=console, show_time=False, show_path=False, markup=False)
+        form = "%(message)s"
+    logging.basicConfig(level=logging.WARNING, format=form, handlers=[handler], force=True)
 
 
 def table(status: Status, title: str) -> Table:

@@ -53,8 +53,10 @@ def _walk_parameters(data: bytes, at: int, end: int, order: str) -> None:
         if data[at + 1] < 0x80:  # a parameter, not a group: its values must fit in
             kind, dimensions = struct.unpack_from("bB", data, link + 2)
             sizes = data[link + 4 : link + 4 + dimensions]
-            if kind not in (-1, 1, 2, 4) or dimensions > 7 or (
-                link + 4 + dimensions + abs(kind) * math.prod(sizes) > after
+            if (
+                kind not in (-1, 1, 2, 4)
+                or dimensions > 7
+                or (link + 4 + dimensions + abs(kind) * math.prod(sizes) > after)
             ):
                 raise ValueError("its parameters hold more than their room")
         if offset == 0:

@@ -112,15 +112,15 @@ class C3dSource(Source):
         self._next = 0
         self._start = clock.now()
 
-    def _receive(self, timeout: float) -> Iterable[MarkerFrame]:
+    def _receive(self, timeout: float) -> Iterable[MarkerFrame] | None:
         if self._next == len(self._clip.xyz):
             self.exhausted = True
-            return ()
+            return None
         now = self.clock.now()
         due = self._start + self._next * self._step
         if due > now + timeout:
             self.clock.sleep_until(now + timeout)
-            return ()
+            return None
         self.clock.sleep_until(due)
         index = self._next
         self._next += 1

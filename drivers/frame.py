@@ -18,6 +18,8 @@ import numpy.typing as npt
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import MarkerbridgeError
 
+LATE = 100  # inputs without a frame that `read` takes in past its deadline
+
 Floats = npt.NDArray[np.float32]
 
 
@@ -72,8 +74,8 @@ class Source(ABC):
         self._ready: deque[MarkerFrame] = deque()
 
     @abstractmethod
-    def _receive(self, timeout: float) -> Iterable[MarkerFrame]:
-        """Waits at most `timeout` seconds for input; returns the frames it completed, if any."""
+    def _receive(self, timeout: float) -> Iterable[MarkerFrame] | None:
+        """Waits at most `timeout` seconds for input; the frames it completed, None for no input."""
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -83,13 +85,18 @@ class Source(ABC):
     def read(self, timeout: float = 1.0) -> MarkerFrame | None:
         """The next frame, or None when `timeout` seconds pass or the source is exhausted."""
         deadline = self.clock.now() + timeout
+        late = 0
         while not self._ready:
-            if self.exhausted:
-                return None
             remaining = max(0.0, deadline - self.clock.now())
-            self._ready.extend(self._receive(remaining))
-            if not self._ready and remaining <= 0.0:
+            # What has come already is read even past the deadline, but not for ever: rubbish may
+            # come as fast as it is read.
+            late += remaining == 0.0
+            if self.exhausted or late > LATE:
                 return None
+            received = self._receive(remaining)
+            if received is None and remaining == 0.0:
+                return None
+            self._ready.extend(received or ())
         self.counters["frames"] += 1
         return self._ready.popleft()
 

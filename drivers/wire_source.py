@@ -32,9 +32,9 @@ class WireSource(Source):
         self._quiet_since = clock.now()
         self._say_hello()
 
-    def _receive(self, timeout: float) -> Iterable[MarkerFrame]:
+    def _receive(self, timeout: float) -> Iterable[MarkerFrame] | None:
         if self._transport is None and not self._reconnect(timeout):
-            return ()
+            return None
         assert self._transport is not None
         # Wake up in time to ask a silent device again.
         wait = min(timeout, max(0.0, self._quiet_since + SILENCE - self.clock.now()))
@@ -42,13 +42,13 @@ class WireSource(Source):
             data = self._transport.receive(wait)
         except TransportLost:
             self._lose()
-            return ()
+            return None
         now = self.clock.now()
         if not data:
             if now - self._quiet_since >= SILENCE:
                 self._quiet_since = now
                 self._say_hello()
-            return ()
+            return None
         self._quiet_since = now
         self.counters["bytes"] += len(data)
         frames = self._decoder.feed(data, now)

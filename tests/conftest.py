@@ -13,7 +13,7 @@ DATA = Path(os.environ.setdefault("MARKERBRIDGE_DATA", str(ROOT.parent / "shared
 
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
-    """The folder with manifest.csv, real/ and virtual/; without it a test says so and is skipped."""
+    """The folder with manifest.csv; a test without it says so and is skipped, in CI it fails."""
     if not (DATA / "manifest.csv").is_file():
         message = f"no captures at {DATA}: set MARKERBRIDGE_DATA to a folder with manifest.csv"
         if os.environ.get("CI"):

@@ -31,6 +31,8 @@ def main(argv: list[str]) -> int:
     wish = None if options.principal is None else check_principal(options.principal)
     if options.out.suffix != ".onnx":
         raise UsageError(f"--out {options.out}: the name of a model file ends in .onnx")
+    if not options.out.parent.is_dir():
+        raise MarkerbridgeError(f"cannot write {options.out}: no such folder")
     errors = Console(stderr=True)
 
     def warn(text: str) -> None:

@@ -17,6 +17,7 @@ from bridge.pose import Pose, Provenance
 from bridge.sinks.sink import Sink, SinkContext
 from bridge.sinks.udp import UdpOut
 from drivers.frame import Layout
+from drivers.options import positive
 from drivers.url import Url
 from drivers.wire.osc_native import NativeOscEncoder
 
@@ -31,9 +32,9 @@ class OscSink(Sink):
 
     def __init__(self, url: Url, context: SinkContext) -> None:
         self.name = url.text
-        self.rate = url.take("rate", 0.0, float)
-        self._out = UdpOut(url, 9200)
+        self.rate = url.take("rate", 0.0, positive)
         url.finish()
+        self._out = UdpOut(url, 9200)
         self._context = context
         labels = len(context.info.labels)
         self._padding = b"\0" * (4 - labels % 4)

@@ -10,6 +10,7 @@ import pytest
 
 from bridge.model import ModelInfo
 from drivers.marker_set import MARKERS
+from training.dataset import load_training
 
 PAPER_SIX = "LFHD,RELB,LUPA,RSHN,LTOE,RTOE"
 SMALL = {
@@ -36,6 +37,12 @@ def small_dir(data_dir, tmp_path_factory):
         (folder / name).parent.mkdir(exist_ok=True)
         shutil.copy(data_dir / name, folder / name)
     return folder
+
+
+@pytest.fixture(scope="session")
+def train_takes(data_dir):
+    """All takes of the training split."""
+    return load_training(data_dir, pytest.fail)
 
 
 @pytest.fixture(scope="session")

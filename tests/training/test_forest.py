@@ -48,9 +48,7 @@ def test_the_sparse_forest_gives_the_probabilities_of_scikit_learn(trained):
 
 def test_only_leaves_have_weights_and_none_is_zero(trained):
     forest = sparse_forest(trained[0], hard=False)
-    leaves = set(
-        zip(forest.tree[forest.feature < 0], forest.node[forest.feature < 0], strict=True)
-    )
+    leaves = set(zip(forest.tree[forest.feature < 0], forest.node[forest.feature < 0], strict=True))
     assert set(zip(forest.entry_tree, forest.entry_node, strict=True)) == leaves
     assert (forest.entry_weight > 0).all()
 

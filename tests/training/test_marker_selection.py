@@ -3,7 +3,6 @@ import pytest
 
 from bridge.body_frame import REFERENCES
 from drivers.marker_set import MARKERS
-from training.dataset import load
 from training.marker_selection import component_weights, cover, select_markers
 from training.poses import body_poses
 
@@ -51,11 +50,12 @@ def test_one_marker_per_independent_group():
 
 
 @pytest.fixture(scope="module")
-def candidates(data_dir):
+def candidates(train_takes):
     labels = [label for label in MARKERS if label not in REFERENCES]
-    takes = [take for take in load(data_dir, "train", print) if take.real]
     columns = [MARKERS.index(label) for label in labels]
-    return np.concatenate([body_poses(take.xyz)[::4, columns] for take in takes]), labels
+    return np.concatenate(
+        [body_poses(take.xyz)[::4, columns] for take in train_takes if take.real]
+    ), labels
 
 
 def test_real_captures_give_about_as_many_markers_as_the_paper(candidates):

@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 from sklearn.decomposition import PCA
 
-from training.dataset import load
 from training.poses import body_poses
 from training.segmentation import Segmentation, _Moments
 
@@ -57,8 +56,8 @@ def test_cuts_are_in_seconds_not_frames():
     assert 2 * slow[1].start == pytest.approx(fast[1].start, abs=40)
 
 
-def test_real_captures_glued_together_are_cut_at_the_seam(data_dir):
-    takes = {take.name: take for take in load(data_dir, "train", print) if take.real}
+def test_real_captures_glued_together_are_cut_at_the_seam(train_takes):
+    takes = {take.name: take for take in train_takes}
     walk = body_poses(takes["real/07_01.c3d"].xyz)
     punch = body_poses(takes["real/02_05.c3d"].xyz)[:600]
     both = np.concatenate([walk, punch])

@@ -1,0 +1,42 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bridge.statistics import Durations, Mean
+from bridge.truth import rms_mm
+
+
+def test_quantiles_are_right_to_a_few_percent_in_constant_memory() -> None:
+    sample = np.random.default_rng(0).lognormal(-7, 1, 50_000)
+    durations = Durations()
+    for seconds in sample:
+        durations.add(float(seconds))
+    for share in (0.1, 0.5, 0.99, 0.999):
+        assert durations.quantile(share) == pytest.approx(np.quantile(sample, share), rel=0.03)
+    assert durations.maximum == sample.max()
+    assert durations.quantile(1.0) == pytest.approx(sample.max(), rel=0.03)
+
+
+def test_the_ends_of_the_scale_are_counted_too() -> None:
+    durations = Durations()
+    assert durations.quantile(0.5) is None
+    durations.add(0.0)
+    assert durations.quantile(0.5) == 0.0
+    durations.add(1e6)
+    assert durations.quantile(1.0) is not None
+
+
+def test_a_mean_leaves_out_what_is_no_number() -> None:
+    mean = Mean()
+    assert mean.mean is None
+    for value in (1.0, float("nan"), 3.0):
+        mean.add(value)
+    assert (mean.mean, mean.last, mean.count) == (2.0, 3.0, 2)
+
+
+def test_rms_counts_the_markers_whose_truth_is_there() -> None:
+    truth = np.array([[0, 0, 0], [1, 1, 1], [np.nan] * 3], np.float32)
+    pose = truth + np.array([[0.003, 0, 0], [0, 0.004, 0], [5, 5, 5]], np.float32)
+    assert rms_mm(pose, truth) == pytest.approx(np.sqrt((9 + 16) / 2), rel=1e-4)
+    assert np.isnan(rms_mm(pose, np.full_like(truth, np.nan)))

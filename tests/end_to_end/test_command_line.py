@@ -1,0 +1,142 @@
+"""The command as a user meets it: exit statuses, and errors in one readable line."""
+
+from __future__ import annotations
+
+import json
+import socket
+from pathlib import Path
+
+import pytest
+
+from tests.end_to_end.peers import Command, Receiver, free_port, running, wait_for
+
+
+def ended(*arguments: str, cwd: Path | None = None) -> tuple[int, str, str]:
+    return Command(*arguments, cwd=cwd).end(60)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "COMMAND"),
+        (["fly"], "invalid choice: 'fly'"),
+        (["run"], "SOURCE"),
+        (["run", "morse:x"], "'morse:x' is no source: known are serial, osc, c3d"),
+        (["run", "c3d:x.c3d", "--seconds", "0"], "'0' is no number above 0"),
+        (["simulate", "performer:walk", "--to", "smoke:signal"], "serial:PATH or osc://HOST:PORT"),
+        (["simulate", "performer:dance", "--to", "osc://127.0.0.1:9"], "walk"),
+        (["simulate", "performer:walk", "--to", "osc://127.0.0.1:9", "--drop", "5"], "5%"),
+        (["simulate", "performer:walk", "--to", "osc://127.0.0.1:9", "--markers", "NOSE"], "NOSE"),
+        (["simulate", "performer:walk", "--to", "serial:/tmp/x?codec=morse"], "codec=morse"),
+        (["demo", "--seconds", "-1"], "'-1' is no number above 0"),
+    ],
+)
+def test_wrong_usage_is_status_2_and_one_line_that_helps(arguments, words: str) -> None:
+    status, out, err = ended(*arguments)
+    assert status == 2
+    assert words in err.splitlines()[-1]
+    assert "Traceback" not in err
+    assert out == ""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["run", "serial:/dev/no-such-port"], "cannot open serial port /dev/no-such-port"),
+        (["run", "c3d:absent.c3d"], "absent.c3d: no such file"),
+        (["run", "osc://127.0.0.1:0", "--model", "absent.onnx"], "absent.onnx: no such model"),
+        (["run", "osc://127.0.0.1:0", "--to", "c3d:/no/such/dir/x.c3d"], "cannot write /no/such"),
+        (["simulate", "c3d:absent.c3d", "--to", "osc://127.0.0.1:9"], "absent.c3d: no such file"),
+        (["simulate", "performer:walk", "--to", "serial:/no/such/dir/x"], "cannot make the serial"),
+        (["demo", "--source", "c3d:absent.c3d"], "absent.c3d: no such file"),
+    ],
+)
+def test_what_fails_while_running_is_status_1_and_one_line(arguments, words, tmp_path) -> None:
+    status, out, err = ended(*arguments, cwd=tmp_path)
+    assert status == 1
+    last = err.splitlines()[-1]
+    assert words in last
+    assert last.startswith(f"markerbridge {arguments[0]}: error: ")
+    assert "Traceback" not in err
+    assert out == ""
+
+
+@pytest.mark.parametrize("command", ["demo", "run", "simulate", "train", "evaluate"])
+def test_every_command_explains_itself(command: str) -> None:
+    status, out, err = ended(command, "--help")
+    assert (status, err) == (0, "")
+    assert f"markerbridge {command}" in out
+
+
+def test_a_file_is_not_taken_for_a_serial_port(tmp_path: Path) -> None:
+    (tmp_path / "mine").write_text("precious")
+    to = f"serial:{tmp_path / 'mine'}"
+    status, _, err = ended("simulate", "performer:walk", "--to", to)
+    assert status == 1
+    assert "choose a path that does not exist" in err
+    assert (tmp_path / "mine").read_text() == "precious"
+
+
+def test_a_capture_without_the_tracked_markers_is_named(tmp_path: Path) -> None:
+    import numpy as np
+
+    from drivers.c3d_file import write_c3d
+    from drivers.frame import Layout
+
+    write_c3d(tmp_path / "few.c3d", Layout(("C7", "LSHO"), 120.0), np.ones((9, 2, 3), np.float32))
+    source = f"c3d:{tmp_path / 'few.c3d'}"
+    status, _, err = ended("simulate", source, "--to", "osc://127.0.0.1:9")
+    assert status == 2
+    assert "the capture lacks the markers LFHD" in err
+    # `run` goes on with what is there, and says what is not.
+    status, _, err = ended("run", f"{source}?speed=max", "--json")
+    assert status == 0
+    assert "the stream has no LFHD, RELB, LUPA, RSHN, LTOE, RTOE, RSHO" in err
+
+
+def test_a_stream_without_any_tracked_marker_is_an_error(tmp_path: Path) -> None:
+    import numpy as np
+
+    from drivers.c3d_file import write_c3d
+    from drivers.frame import Layout
+
+    write_c3d(tmp_path / "no.c3d", Layout(("T10",), 120.0), np.ones((9, 1, 3), np.float32))
+    status, _, err = ended("run", f"c3d:{tmp_path / 'no.c3d'}?speed=max")
+    assert status == 1
+    assert "none of the markers that the model tracks" in err.splitlines()[-1]
+
+
+def test_the_demo_runs_to_its_end_without_data_and_shows_its_figures(tmp_path: Path) -> None:
+    with Receiver() as receiver:
+        to = f"vmc://127.0.0.1:{receiver.port}"
+        status, out, err = ended("demo", "--seconds", "3", "--to", to, "--no-view", cwd=tmp_path)
+    assert status == 0, err
+    assert out == ""
+    for words in ("frames in", "poses out", "age of the pose", "markers imputed", "RMS to the"):
+        assert words in err
+    assert len(receiver.datagrams) > 200
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_demo_ends_at_once_on_ctrl_c_and_takes_its_simulator_along(tmp_path: Path) -> None:
+    with Receiver() as receiver:
+        to = f"vmc://127.0.0.1:{receiver.port}"
+        with running("demo", "--to", to, "--no-view") as demo:
+            wait_for(lambda: receiver.datagrams, "VMC")
+            demo.interrupt()
+            status, _, err = demo.end(10)
+            assert status == 0, err
+            assert "ended" in err
+    count = len(receiver.datagrams)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as again:
+        again.bind(("127.0.0.1", receiver.port))
+        again.settimeout(0.3)
+        with pytest.raises(TimeoutError):
+            again.recv(10)
+    assert count > 0
+
+
+def test_run_ends_after_its_seconds_though_nothing_comes() -> None:
+    status, out, _ = ended("run", f"osc://127.0.0.1:{free_port()}", "--seconds", "0.5", "--json")
+    assert status == 0
+    assert json.loads(out)["frames"] == 0

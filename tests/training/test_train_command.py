@@ -1,0 +1,157 @@
+import hashlib
+import json
+import subprocess
+import sys
+
+import pytest
+
+from bridge.model import Model
+from drivers.errors import MarkerbridgeError, UsageError
+from tests.training.conftest import PAPER_SIX
+from training.pipeline import folds
+from training.train_command import main
+
+
+@pytest.fixture(scope="module")
+def trained(small_dir, tmp_path_factory):
+    """A model with folds, trained by the command in a process of its own, and its stderr."""
+    out = tmp_path_factory.mktemp("trained") / "model.onnx"
+    argv = ["train", str(small_dir), "--out", str(out), "--principal", PAPER_SIX]
+    done = subprocess.run(
+        [sys.executable, "-m", "bridge.cli", *argv], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return out, done.stderr
+
+
+def test_the_model_file_says_what_it_is(trained, small_dir):
+    info = Model(trained[0]).info
+    assert info.principal == tuple(PAPER_SIX.split(","))
+    assert info.references == ("C7", "LSHO", "RSHO")
+    assert (info.estimator, info.history) == ("local", 10)
+    assert info.training["sequences"] == 4
+    assert info.training["seed"] == 0
+    assert info.training["leaves"] == Model(trained[0]).leaves
+    assert set(info.training["versions"]) == {"markerbridge", "numpy", "onnx", "scikit-learn"}
+    assert len(info.training["data"]) == 64
+    assert set(info.accuracy["folds"]["left_out"]) == {"02", "07", "16"}
+    assert info.accuracy["test"]["rms_mm"] > 10
+
+
+def test_sigma_is_the_error_on_people_left_out(trained):
+    """One number per marker; together they make the error of the folds, within the two means."""
+    info = Model(trained[0]).info
+    total = 1000 * (3 * sum(s**2 for s in info.sigma) / len(info.sigma)) ** 0.5
+    assert total == pytest.approx(info.accuracy["folds"]["mean"]["rms_mm"], rel=0.3)
+    assert total >= info.accuracy["folds"]["mean"]["rms_mm"]
+
+
+def test_the_record_beside_it_names_no_path(trained, small_dir):
+    out, _ = trained
+    text = out.with_suffix(".json").read_text()
+    record = json.loads(text)
+    assert record["command"].startswith(f"markerbridge train {small_dir.name} --out model.onnx")
+    assert record["accuracy"] == Model(out).info.accuracy
+    assert record["file"] == {"bytes": out.stat().st_size}
+    assert str(small_dir.parent) not in text
+    assert str(out.parent) not in text
+
+
+def test_in_a_pipe_progress_is_plain_lines(trained):
+    lines = trained[1].splitlines()
+    assert any(line.startswith("100 %") for line in lines)
+    assert "\x1b" not in trained[1]
+    assert "without 07: RMS" in trained[1]
+
+
+@pytest.mark.parametrize("estimator", ["local", "paper"])
+def test_same_seed_same_file(small_dir, tmp_path, estimator):
+    digests = []
+    for name, seed in (("a", "0"), ("b", "0"), ("c", "1")):
+        out = tmp_path / f"{name}.onnx"
+        argv = ["--out", str(out), "--principal", PAPER_SIX, "--no-folds", "--seed", seed]
+        assert main([str(small_dir), "--estimator", estimator, *argv]) == 0
+        digests.append(hashlib.sha256(out.read_bytes()).hexdigest())
+    assert digests[0] == digests[1] != digests[2]
+
+
+def test_the_plain_estimator_is_the_papers(small_dir, tmp_path):
+    out = tmp_path / "paper.onnx"
+    argv = ["--out", str(out), "--principal", "LFHD,RTOE", "--no-folds", "--history", "20"]
+    assert main([str(small_dir), "--estimator", "paper", *argv]) == 0
+    model = Model(out)
+    assert model.width == 6  # the principal markers alone
+    assert model.info.history == 20
+    assert model.info.accuracy["folds"] is None
+
+
+def test_without_manifest_it_chooses_markers_and_leaves_files_out(small_dir, tmp_path):
+    out = tmp_path / "model.onnx"
+    assert main([str(small_dir / "real"), "--out", str(out)]) == 0
+    info = Model(out).info
+    assert info.training["sequences"] == 4  # of a folder without splits, all
+    assert len(info.accuracy["folds"]["left_out"]) == 4
+    assert info.accuracy["test"] is None
+    assert 3 <= len(info.principal) <= 10
+    assert not set(info.principal) & set(info.references)
+
+
+def test_a_fold_drops_all_that_is_known_of_its_performer(train_takes):
+    takes = train_takes
+    by_name = {take.name: take for take in takes}
+    groups = folds(takes)
+    assert set(groups) == {"01", "02", "07", "135", "16", "85", "bd", "mm"}
+    for performer, (dropped, scored) in groups.items():
+        assert {take.name for take in takes if take.subject == performer} == dropped
+        assert scored
+        assert all(take.real and take.name in dropped for take in scored)
+    assert any(not by_name[name].real for name in groups["02"][0])
+
+
+def test_many_performers_share_folds(train_takes):
+    take = train_takes[0]
+    many = [type(take)(f"{n}.c3d", f"p{n % 20}", "", "", True, 120.0, take.xyz) for n in range(40)]
+    groups = folds(many)
+    assert len(groups) == 8
+    assert sorted(name for dropped, _ in groups.values() for name in dropped) == sorted(
+        take.name for take in many
+    )
+    assert folds(many[:1]) == {}
+
+
+@pytest.mark.parametrize(
+    ("principal", "told"),
+    [
+        ("LFHD,NOSE", "NOSE not in the marker set"),
+        ("LFHD,C7", "C7 are references"),
+        ("LFHD,LFHD", "named twice"),
+        ("", "not in the marker set"),
+    ],
+)
+def test_markers_that_cannot_be_principal(small_dir, tmp_path, principal, told):
+    with pytest.raises(UsageError, match=told):
+        main([str(small_dir), "--out", str(tmp_path / "m.onnx"), "--principal", principal])
+
+
+def test_other_wrong_usage(small_dir, tmp_path, capsys):
+    out = str(tmp_path / "m.onnx")
+    for wrong in (
+        [str(small_dir)],
+        [str(small_dir), "--out", out, "--estimator", "magic"],
+        [str(small_dir), "--out", out, "--history", "-1"],
+        [str(small_dir), "--out", out, "--history", "9999"],
+    ):
+        with pytest.raises(SystemExit) as leaving:
+            main(wrong)
+        assert leaving.value.code == 2
+        assert "error:" in capsys.readouterr().err
+    with pytest.raises(UsageError, match=r"ends in \.onnx"):
+        main([str(small_dir), "--out", str(tmp_path / "m.json")])
+
+
+def test_what_cannot_be_written_or_read(small_dir, tmp_path):
+    with pytest.raises(MarkerbridgeError, match="no such folder"):
+        main([str(small_dir), "--out", str(tmp_path / "no" / "m.onnx"), "--no-folds"])
+    with pytest.raises(MarkerbridgeError, match="no C3D file"):
+        main([str(tmp_path), "--out", str(tmp_path / "m.onnx")])
+    assert list(tmp_path.iterdir()) == []
