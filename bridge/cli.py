@@ -24,6 +24,7 @@ COMMANDS = {
     "train": ("training.train_command:main", "captures to a model file"),
     "evaluate": ("training.evaluate_command:main", "how good a model is on captures"),
 }
+TRAIN_EXTRA = ("joblib", "onnx", "sklearn")
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -38,15 +39,18 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--version", action="version", version=version("markerbridge"))
     parser.add_argument("command", choices=COMMANDS, metavar="COMMAND", help="one of those below")
     parser.add_argument("arguments", nargs=argparse.REMAINDER, help="COMMAND --help tells them")
+    if not arguments:
+        parser.print_help(sys.stderr)
+        return 2
     chosen = parser.parse_args(arguments)
-    module, _, function = COMMANDS[chosen.command][0].partition(":")
     try:
-        run = cast(Callable[[list[str]], int], getattr(import_module(module), function))
-        return run(chosen.arguments)
+        return _load(COMMANDS[chosen.command][0])(chosen.arguments)
     except MarkerbridgeError as error:
         print(f"markerbridge {chosen.command}: error: {error}", file=sys.stderr)
         return error.exit_status
     except ModuleNotFoundError as error:
+        if error.name not in TRAIN_EXTRA:
+            raise
         print(
             f"markerbridge {chosen.command}: error: {error.name} is not installed: "
             "pip install 'markerbridge[train]'",
@@ -57,11 +61,16 @@ def main(argv: list[str] | None = None) -> int:
         return 130
 
 
+def _load(name: str) -> Callable[..., int]:
+    module, _, function = name.partition(":")
+    return cast(Callable[..., int], getattr(import_module(module), function))
+
+
 def simulate(argv: list[str]) -> int:
     """`markerbridge simulate`: simulators do not know models, so it is told their markers."""
     from bridge.model import Model
-    from simulators.command import main as run
 
+    run = _load("simulators.command:main")
     return run(argv, lambda name: Model(name).info.tracked)
 
 

@@ -43,15 +43,13 @@ def main(argv: list[str], tracked_markers: Callable[[str], tuple[str, ...]]) -> 
         speed=options.speed,
         truth=truth_wire(truth, layout) if truth else None,
     )
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    _stop_on_signals(device)
     try:
         if waits:
             _say(f"{options.to} is there; the clip starts when a host opens it")
             device.wait_for_host()
         device.play()
         line.drain()
-    except KeyboardInterrupt:
-        pass
     finally:
         for end in (line, truth):
             if end:
@@ -119,6 +117,18 @@ def _open_truth(address: str | None) -> UdpSender | None:
     if url.scheme != "osc":
         raise UsageError(f"--truth '{address}': write osc://HOST:PORT")
     return UdpSender(*url.address())
+
+
+def _stop_on_signals(device: Device) -> None:
+    """Ctrl-C and SIGTERM end the clip between two frames; a second one interrupts for good."""
+
+    def stop(_number: int, _frame: object) -> None:
+        if device.done:
+            raise KeyboardInterrupt
+        device.done = True
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop)
 
 
 def _only(known: str) -> Callable[[str], str]:

@@ -75,7 +75,7 @@ class Device:
 
         On a serial line only: who opens a port throws away what came before.
         """
-        while not self._answered(HELLO_EVERY):
+        while not self.done and not self._answered(HELLO_EVERY):
             pass
         self._start = self._clock.now()
 
@@ -98,7 +98,8 @@ class Device:
         """Sends all frames in real time, until the clip ends."""
         while not self.done:
             self._clock.sleep_until(self.due)
-            self.step()
+            if not self.done:  # told to stop meanwhile
+                self.step()
 
     def schedule(self, clock: VirtualClock) -> None:
         """Sends all frames from calls on a virtual clock, while somebody else reads."""

@@ -18,8 +18,10 @@ from drivers.errors import MarkerbridgeError, UsageError
 from drivers.marker_set import MARKERS
 from training.dataset import TEST, digest, load, load_training, manifest_splits
 from training.export import to_onnx
-from training.pipeline import FIT_WORK, RECIPES, choose_principal, folds, prepare, train
+from training.folds import leave_out
+from training.pipeline import FIT_WORK, choose_principal, cut, train
 from training.progress import progress
+from training.recipe import RECIPES
 
 MAX_HISTORY = 240  # two seconds
 
@@ -43,14 +45,14 @@ def main(argv: list[str]) -> int:
         recipe = replace(recipe, history=options.history)
     takes = load_training(options.data, warn)
     tests = load(options.data, TEST, warn) if TEST in manifest_splits(options.data) else []
-    groups = folds(takes) if options.folds else {}
-    if not groups:
+    folds = leave_out(takes) if options.folds else []
+    if not folds:
         warn("no folds: the accuracy in the model file is that on its own training captures")
-    work = sum(len(take.xyz) for take in takes) + (len(groups) + 1) * FIT_WORK
+    work = sum(len(take.xyz) for take in takes) + (len(folds) + 1) * FIT_WORK
     with progress(errors, work) as advance:
-        prepared = prepare(takes, recipe, advance)
-        principal = wish or choose_principal(prepared, options.seed)
-        fitted = train(prepared, tests, principal, recipe, options.seed, groups, advance)
+        segments = cut(takes, recipe, advance)
+        principal = wish or choose_principal(segments, options.seed)
+        fitted = train(segments, tests, folds, principal, recipe, options.seed, advance)
     used = fitted.info.training | {"data": digest(options.data, takes)}
     info = replace(fitted.info, training=used)
     content = to_onnx(fitted.graph, info)

@@ -134,7 +134,8 @@ def test_the_layout_is_sent_once_a_second() -> None:
 def test_liblos_oscdump_reads_the_same(scheme: str, tmp_path: Path) -> None:
     assert shutil.which("oscdump"), "install Debian's liblo-tools: the README's second command does"
     port, each = free_port(), pose()
-    with (tmp_path / "dump.txt").open("w+") as output:
+    path = tmp_path / "dump.txt"
+    with path.open("w") as output:
         dump = subprocess.Popen(["oscdump", "-L", str(port)], stdout=output, stderr=output)
         try:
             sink = open_sink(f"{scheme}://127.0.0.1:{port}", CONTEXT)
@@ -142,8 +143,7 @@ def test_liblos_oscdump_reads_the_same(scheme: str, tmp_path: Path) -> None:
 
             def arrived() -> bool:
                 sink(each)
-                output.seek(0)
-                lines[:] = [line for line in output.read().splitlines() if "/" in line]
+                lines[:] = [line for line in path.read_text().splitlines() if "/" in line]
                 return sum("/Tra/Pos" in line or "/pose" in line for line in lines) >= (
                     COUNT if scheme == "vmc" else 1
                 )

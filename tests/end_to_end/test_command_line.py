@@ -18,7 +18,7 @@ def ended(*arguments: str, cwd: Path | None = None) -> tuple[int, str, str]:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], "COMMAND"),
+        ([], "evaluate  how good a model is"),
         (["fly"], "invalid choice: 'fly'"),
         (["run"], "SOURCE"),
         (["run", "morse:x"], "'morse:x' is no source: known are serial, osc, c3d"),

@@ -8,7 +8,7 @@ import pytest
 from bridge.model import Model
 from drivers.errors import MarkerbridgeError, UsageError
 from tests.training.conftest import PAPER_SIX
-from training.pipeline import folds
+from training.folds import leave_out
 from training.train_command import main
 
 
@@ -99,24 +99,23 @@ def test_without_manifest_it_chooses_markers_and_leaves_files_out(small_dir, tmp
 def test_a_fold_drops_all_that_is_known_of_its_performer(train_takes):
     takes = train_takes
     by_name = {take.name: take for take in takes}
-    groups = folds(takes)
-    assert set(groups) == {"01", "02", "07", "135", "16", "85", "bd", "mm"}
-    for performer, (dropped, scored) in groups.items():
-        assert {take.name for take in takes if take.subject == performer} == dropped
-        assert scored
-        assert all(take.real and take.name in dropped for take in scored)
-    assert any(not by_name[name].real for name in groups["02"][0])
+    folds = {fold.name: fold for fold in leave_out(takes)}
+    assert set(folds) == {"01", "02", "07", "135", "16", "85", "bd", "mm"}
+    for performer, fold in folds.items():
+        assert {take.name for take in takes if take.subject == performer} == fold.dropped
+        assert fold.scored
+        assert all(take.real and take.name in fold.dropped for take in fold.scored)
+    assert any(not by_name[name].real for name in folds["02"].dropped)
 
 
 def test_many_performers_share_folds(train_takes):
     take = train_takes[0]
     many = [type(take)(f"{n}.c3d", f"p{n % 20}", "", "", True, 120.0, take.xyz) for n in range(40)]
-    groups = folds(many)
-    assert len(groups) == 8
-    assert sorted(name for dropped, _ in groups.values() for name in dropped) == sorted(
-        take.name for take in many
-    )
-    assert folds(many[:1]) == {}
+    folds = leave_out(many)
+    assert len(folds) == 8
+    names = [name for fold in folds for name in fold.dropped]
+    assert sorted(names) == sorted(take.name for take in many)
+    assert leave_out(many[:1]) == []
 
 
 @pytest.mark.parametrize(

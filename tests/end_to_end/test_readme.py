@@ -1,0 +1,125 @@
+"""Every command of the README, as it stands there. The first two set a machine up: .ci/run runs
+those; this runs the others, with a scratch folder for /tmp and the current folder.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from tests.end_to_end.peers import WAIT, wait_for
+
+ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text()
+BLOCKS = [block.strip() for block in re.findall(r"```sh\n(.*?)```", README, flags=re.DOTALL)]
+LIVE = 3.0  # s that a session which would not end is watched
+
+
+def block(words: str) -> str:
+    (found,) = [text for text in BLOCKS if words in text]
+    return found
+
+
+SIMULATE = block("simulate performer:walk")
+SESSION = block("take.c3d")
+REPLAY = block("captures/walk.c3d")
+ENGINE = block("vmc://")
+MODEL = block("markerbridge train")
+
+
+def test_no_command_of_the_readme_is_left_out() -> None:
+    assert set(BLOCKS[2:]) == {SIMULATE, SESSION, REPLAY, ENGINE, MODEL}
+    for setting_up in BLOCKS[:2]:
+        assert "apt-get install" in setting_up
+        assert "pip install -c requirements.lock" in setting_up
+
+
+@contextmanager
+def shell(command: str, cwd: Path) -> Iterator[subprocess.Popen[str]]:
+    """The command in a shell of its own, as at a prompt."""
+    here = Path(sys.executable).parent
+    assert (here / "markerbridge").exists(), "install the package: pip install ."
+    process = subprocess.Popen(
+        ["bash", "-c", command.replace("/tmp/", f"{cwd}/")],
+        cwd=cwd,
+        env=os.environ | {"PATH": f"{here}:{os.environ['PATH']}"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGKILL)
+        process.communicate()
+
+
+def interrupted(process: subprocess.Popen[str]) -> str:
+    """Ctrl-C: what it printed; it ends well."""
+    os.killpg(process.pid, signal.SIGINT)
+    output, _ = process.communicate(timeout=WAIT)
+    assert process.returncode == 0, output
+    assert "Traceback" not in output
+    return output
+
+
+def finished(process: subprocess.Popen[str], timeout: float = WAIT) -> str:
+    output, _ = process.communicate(timeout=timeout)
+    assert process.returncode == 0, output
+    assert "Traceback" not in output
+    return output
+
+
+@pytest.mark.parametrize("command", [SESSION, ENGINE], ids=["session", "engine"])
+def test_a_live_session_with_the_simulated_tracker(command: str, tmp_path: Path) -> None:
+    with shell(SIMULATE, tmp_path) as device:
+        wait_for((tmp_path / "tracker").is_symlink, "the serial port")
+        with shell(command, tmp_path) as bridge:
+            time.sleep(LIVE)  # real processes in real time
+            output = interrupted(bridge)
+        assert "poses out" in output
+        frames = int(re.search(r"poses out\W+(\d+)", output)[1])
+        assert frames > 60
+        interrupted(device)
+    if command == SESSION:
+        assert (tmp_path / "take.c3d").stat().st_size > 10_000
+
+
+def test_a_replay_with_its_summary(data_dir: Path, tmp_path: Path) -> None:
+    (tmp_path / "captures").mkdir()
+    shutil.copy(data_dir / "real/07_12.c3d", tmp_path / "captures/walk.c3d")
+    with shell(REPLAY, tmp_path) as replay:
+        output = finished(replay)
+    assert '"rms_mm": ' in output
+    assert '"frames": ' in output
+    assert (tmp_path / "out.c3d").exists()
+
+
+@pytest.mark.timeout(400)
+def test_a_model_of_ones_own(data_dir: Path, tmp_path: Path) -> None:
+    (tmp_path / "captures").mkdir()
+    for name in ("02_01", "07_01", "16_07", "02_05"):
+        shutil.copy(data_dir / f"real/{name}.c3d", tmp_path / "captures")
+    train, evaluate, run = MODEL.splitlines()
+    with shell(train, tmp_path) as training:
+        finished(training, 300)
+    with shell(evaluate, tmp_path) as evaluation:
+        finished(evaluation, 100)
+    assert '"rms_ratio"' in (tmp_path / "figures.json").read_text()
+    with shell(SIMULATE, tmp_path):
+        wait_for((tmp_path / "tracker").is_symlink, "the serial port")
+        with shell(run, tmp_path) as bridge:
+            time.sleep(LIVE)
+            assert "poses out" in interrupted(bridge)
