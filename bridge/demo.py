@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import logging
-import os
 import subprocess
 import sys
 import tempfile
@@ -21,10 +20,11 @@ from bridge.model import DEFAULT, Model
 from bridge.run_command import open_session, stopping
 from bridge.session import Session
 from bridge.sinks.sink import SinkError
+from bridge.view.process import has_display
+from bridge.view.snapshot import snapshot
 from drivers.errors import MarkerbridgeError
 from drivers.options import checked, positive
 from drivers.osc_udp import UdpTransport
-from drivers.registry import open_source
 
 START = 20.0  # s that the simulator gets to come up on a slow machine
 TITLE = "markerbridge demo"
@@ -49,16 +49,16 @@ def main(argv: list[str]) -> int:
         port = Path(folder) / "tracker"
         with (
             _simulator(options, port, truth),
-            open_session(open_source(f"serial:{port}"), model, sinks, truth) as session,
+            open_session(f"serial:{port}", model, sinks, truth) as session,
             stopping() as stop,
         ):
             _introduce(console, options, sinks)
             with terminal.shown(console, session.status, TITLE):
                 session.run(stop, options.seconds)
-            if options.snapshot:
-                _take_snapshot(options.snapshot, model, session, console)
             session.close()
             status = session.status()
+    if options.snapshot:
+        _take_snapshot(options.snapshot, model, session, console)
     console.print(terminal.table(status, f"{TITLE}: ended"))
     if not status.frames:
         raise DemoError("no frame came through the simulated serial port")
@@ -112,10 +112,7 @@ def _introduce(console: Console, options: argparse.Namespace, sinks: list[str]) 
 
 def _view(wish: bool | None, console: Console) -> list[str]:
     """The view's address where it is wished for, or not refused and possible."""
-    display = sys.platform != "linux" or any(
-        os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
-    )
-    if wish or (wish is None and display):
+    if wish or (wish is None and has_display()):
         return ["view:"]
     if wish is None:
         console.print(
@@ -130,8 +127,6 @@ def _free_port() -> int:
 
 
 def _take_snapshot(path: str, model: Model, session: Session, console: Console) -> None:
-    from bridge.view.snapshot import snapshot
-
     if session.last_pose is None:
         raise SinkError(f"no pose to draw for {path}")
     snapshot(Path(path), model.info, session.last_pose, session.last_truth)

@@ -22,9 +22,7 @@ from bridge.session import Session
 from bridge.sinks.registry import open_sink
 from bridge.sinks.sink import Sink, SinkContext, SinkError, ViewError
 from bridge.truth import Truth
-from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import UsageError
-from drivers.frame import Source
 from drivers.options import checked, positive
 from drivers.registry import open_source
 
@@ -37,8 +35,10 @@ def main(argv: list[str]) -> int:
     console = Console(stderr=True)
     terminal.log_to(console)
     model = Model(options.model)
-    source = open_source(options.source)
-    with open_session(source, model, options.to, options.truth) as session, stopping() as stop:
+    with (
+        open_session(options.source, model, options.to, options.truth) as session,
+        stopping() as stop,
+    ):
         title = f"markerbridge run {options.source}"
         with (
             contextlib.nullcontext()
@@ -58,15 +58,16 @@ def main(argv: list[str]) -> int:
 
 @contextmanager
 def open_session(
-    source: Source,
+    source_address: str,
     model: Model,
     sinks: list[str],
     truth_address: str | None = None,
-    clock: Clock = SYSTEM_CLOCK,
 ) -> Iterator[Session]:
-    """A session with its sinks opened by address; all is closed at the end, come what may."""
+    """A session with source and sinks opened by address; all is closed at the end, come what may.
+
+    The source comes last: a device starts to send when it is opened, and a view takes its time.
+    """
     with contextlib.ExitStack() as opened:
-        opened.enter_context(source)
         truth = open_truth(truth_address, model.info) if truth_address else None
         if truth:
             opened.enter_context(truth.source)
@@ -80,9 +81,8 @@ def open_session(
                 continue
             opened.callback(_quietly(sink.close))
             open_sinks.append(sink)
-        session = Session(
-            source, PoseEstimator(model), open_sinks, context, truth=truth, clock=clock
-        )
+        source = opened.enter_context(open_source(source_address))
+        session = Session(source, PoseEstimator(model), open_sinks, context, truth=truth)
         opened.callback(session.close)
         yield session
 

@@ -13,6 +13,7 @@ Array = npt.NDArray[np.float64]
 
 VARIANCE = 0.95  # share of the variance that the components keep
 SPARE_CLUSTERS = 1  # K is "slightly greater than q"
+RESTARTS = 1000  # of K-means: with 10 the choice still hangs on the seed
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +38,7 @@ def select_markers(
     """
     weights = component_weights(poses.reshape(len(poses), -1), VARIANCE)
     count = min(weights.shape[1] + spare_clusters, len(weights))
-    means = KMeans(count, n_init=10, random_state=seed).fit(weights)
+    means = KMeans(count, n_init=RESTARTS, random_state=seed).fit(weights)
     cluster = means.labels_.reshape(-1, 3)
     distance = ((weights - means.cluster_centers_[means.labels_]) ** 2).sum(axis=1)
     kept = cover(cluster, distance.reshape(-1, 3).sum(axis=1))

@@ -98,7 +98,8 @@ def _sample(values: Array, rows: Array) -> Array:
     """`values` (N, ...) at fractional rows, between neighbours linearly."""
     before = np.minimum(rows.astype(int), len(values) - 2)
     share = (rows - before).reshape(-1, *(1,) * (values.ndim - 1))
-    return values[before] * (1 - share) + values[before + 1] * share
+    between: Array = values[before] * (1 - share) + values[before + 1] * share
+    return between
 
 
 def walking_captures(data: Path) -> dict[str, list[Path]]:
@@ -179,7 +180,7 @@ def _rounded(values: Array, digits: int) -> Any:
 
 def _series(basis: Array, values: Array) -> Array:
     """Least-squares Fourier coefficients (K, 1 + 2H) of the columns of `values` (PHASES, K)."""
-    coefficients: Array = np.linalg.lstsq(basis, values, rcond=None)[0].T
+    coefficients: Array = np.asarray(np.linalg.lstsq(basis, values, rcond=None)[0].T, float)
     return coefficients
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -27,20 +27,25 @@ from training.progress import Advance
 from training.recipe import Recipe
 
 FIT_WORK = 50_000.0  # units of progress that one fit takes, one being a frame cut into segments
+MIN_FRAMES = 10  # a covariance of fewer says nothing
 _LIBRARIES = ("markerbridge", "numpy", "onnx", "scikit-learn")
 
 
-def cut(takes: Sequence[Take], recipe: Recipe, advance: Advance) -> list[Segment]:
+def cut(
+    takes: Sequence[Take], recipe: Recipe, advance: Advance, warn: Callable[[str], None]
+) -> list[Segment]:
     """The segments of all takes. One unit of progress per frame."""
     segments = []
     for take in takes:
         poses = body_poses(take.xyz)
-        parts = recipe.segmentation.cut(poses.reshape(len(poses), -1), take.rate)
-        # A Gaussian needs two frames.
-        segments += [Segment(take, poses[part]) for part in parts if len(poses[part]) > 1]
+        if len(poses) < MIN_FRAMES:
+            warn(f"left out: {take.name}: fewer than {MIN_FRAMES} frames have all 41 markers")
+        else:
+            parts = recipe.segmentation.cut(poses.reshape(len(poses), -1), take.rate)
+            segments += [Segment(take, poses[part]) for part in parts]
         advance(f"segments of {take.name}", len(take.xyz))
     if not segments:
-        raise MarkerbridgeError("no capture has whole poses: every frame lacks a marker")
+        raise MarkerbridgeError("no capture has enough frames with all 41 markers")
     return segments
 
 
@@ -116,5 +121,9 @@ def _takes(segments: Sequence[Segment]) -> list[Take]:
 
 
 def _told(scores: Scores) -> dict[str, float | None]:
-    names = ("rms_mm", "rms_all_mm", "jerk_mm", "roughness")
-    return {name: value for name, value in asdict(scores).items() if name in names}
+    """The scores as the model file tells them: without the baseline, to 0.01."""
+    told = asdict(scores)
+    return {
+        name: None if told[name] is None else round(told[name], 2)
+        for name in ("rms_mm", "rms_all_mm", "jerk_mm", "roughness")
+    }

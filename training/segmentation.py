@@ -30,7 +30,7 @@ class Segmentation:
     ahead: float = 0.75
     step: float = 1 / 12
     variance: float = 0.95
-    rise: float = 2.0
+    rise: float = 3.0
     floor: float = 0.003
 
     def cut(self, poses: npt.NDArray[np.floating], rate: float) -> list[slice]:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 import json
-import resource
 import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from bridge.body_frame import REFERENCES
 from bridge.model import ModelInfo
@@ -49,8 +49,10 @@ def main(argv: list[str]) -> int:
     if not folds:
         warn("no folds: the accuracy in the model file is that on its own training captures")
     work = sum(len(take.xyz) for take in takes) + (len(folds) + 1) * FIT_WORK
-    with progress(errors, work) as advance:
-        segments = cut(takes, recipe, advance)
+    # One thread for linear algebra: the matrices are small, and the sums do not depend on the
+    # machine's cores. The forest has threads of its own.
+    with progress(errors, work) as advance, threadpool_limits(1):
+        segments = cut(takes, recipe, advance, warn)
         principal = wish or choose_principal(segments, options.seed)
         fitted = train(segments, tests, folds, principal, recipe, options.seed, advance)
     used = fitted.info.training | {"data": digest(options.data, takes)}
@@ -134,10 +136,7 @@ def _record(argv: list[str], info: ModelInfo, size: int, seconds: float) -> str:
         },
         "training": info.training,
         "file": {"bytes": size},
-        "cost": {
-            "seconds": round(seconds),
-            "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024,
-        },
+        "seconds": round(seconds),
     }
     return json.dumps(entry, indent=2, allow_nan=False) + "\n"
 

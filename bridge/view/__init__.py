@@ -1,1 +1,1 @@
-"""What a person sees of the session: bodies, floor and meter, drawn by Open3D in a child process."""
+"""What a person sees of the session, drawn by Open3D in a process of its own."""

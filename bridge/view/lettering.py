@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import numpy.typing as npt
 
@@ -30,12 +32,12 @@ ADVANCE = 5.6  # grid units from one letter to the next
 
 def strokes(text: str) -> Array:
     """Straight strokes (S, 2, 2) that write `text`, one unit high, starting at the origin."""
-    found = []
+    found: list[tuple[tuple[float, float], tuple[float, float]]] = []
     for place, letter in enumerate(text):
         for line in _GLYPHS[letter].split():
-            points = [(int(x) + ADVANCE * place, int(y)) for x, y in zip(line[::2], line[1::2], strict=True)]
-            found += zip(points, points[1:], strict=False)
-    return np.array(found, float).reshape(-1, 2, 2) / 6
+            pairs = zip(line[::2], line[1::2], strict=True)
+            found += pairwise((int(x) + ADVANCE * place, int(y)) for x, y in pairs)
+    return np.array(found, np.float64).reshape(-1, 2, 2) / 6
 
 
 def width(text: str) -> float:

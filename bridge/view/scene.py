@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from bridge.body_frame import REFERENCES, BodyFrame
 from bridge.pose import Pose, Provenance
+from bridge.truth import rms_mm
 from bridge.view import mesh
 from bridge.view.lettering import strokes, width
 from bridge.view.mesh import Array, Mesh, Part
@@ -35,7 +36,7 @@ _SHADOW: Colour = (0.04, 0.048, 0.065)
 _TRACK: Colour = (0.20, 0.225, 0.27)
 _INK: Colour = (0.86, 0.89, 0.93)
 
-FULL_SCALE = 0.2  # m: the meter's end
+FULL_SCALE = 200.0  # mm: the meter's end
 
 # Metres.
 APART = 0.62  # each body from the middle
@@ -68,7 +69,7 @@ class Camera:
     def sideways(self) -> Array:
         """To the right, on the floor."""
         level = self.right * [1, 1, 0]
-        return level / max(np.linalg.norm(level), 1e-9)
+        return level / max(float(np.linalg.norm(level)), 1e-9)
 
 
 class Scene:
@@ -132,7 +133,8 @@ class Scene:
         if truth is None:
             self._meter.hide()
         else:
-            error = rms(pose.xyz, truth)
+            error = rms_mm(pose.xyz, truth)
+            error = 0.0 if math.isnan(error) else error
             self._error += _share(step, _METER_LAG, first) * (error - self._error)
             self._meter.show(self._error, camera)
 
@@ -146,13 +148,6 @@ class Scene:
         centres = self._estimate.places[self._worn]
         for part, radius, lift in ((self._rims, _RIM, _LIFT), (self._discs, _DISC, _LIFT + 0.004)):
             part.points[:] = _or_nothing((centres + lift * camera.back)[:, None] + radius * plane)
-
-
-def rms(estimate: Floats, truth: Floats) -> float:
-    """Root of the mean squared distance over the markers that both have, metres; 0 without any."""
-    squares = ((estimate - truth) ** 2).sum(axis=1)
-    known = np.isfinite(squares)
-    return math.sqrt(squares[known].mean()) if known.any() else 0.0
 
 
 def _worn_colour(label: str, principal: tuple[str, ...]) -> Colour:
@@ -286,7 +281,7 @@ class _Meter:
             part.points[:] = 0
 
     def show(self, error: float, camera: Camera) -> None:
-        """error: metres."""
+        """error: millimetres."""
         share = min(error / FULL_SCALE, 1.0)
         end = _METER_HALF * (2 * share - 1)
         half = _METER_THICK / 2
@@ -294,7 +289,7 @@ class _Meter:
         bar = _box(np.array([-_METER_HALF]), np.array([end]), -half, half)
         marks = np.linspace(-_METER_HALF, _METER_HALF, 5)
         ticks = _box(marks - 0.003, marks + 0.003, -half - 0.02, -half)
-        text = f"RMS {1000 * error:.0f} mm"
+        text = f"RMS {error:.0f} mm"
         lines = (strokes(text) - [width(text) / 2, 0]) * _LETTER + [0, half + 0.05]
         padded = np.zeros((_STROKES, 2, 2))
         padded[: len(lines)] = lines

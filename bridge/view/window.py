@@ -37,6 +37,7 @@ class Window:
         options = self._visualizer.get_render_option()
         options.background_color = BACKGROUND
         options.mesh_show_back_face = True
+        options.mesh_shade_option = open3d.visualization.MeshShadeOption.Color  # smooth
         self._geometries: list[tuple[Mesh, Any]] = []
         for mesh in (scene.lit, scene.flat):
             geometry = open3d.geometry.TriangleMesh()
@@ -49,6 +50,7 @@ class Window:
                 unused = np.zeros(mesh.triangles.shape)
                 geometry.triangle_normals = open3d.utility.Vector3dVector(unused)
             self._visualizer.add_geometry(geometry, mesh is scene.lit)
+            mesh.points[:] = 0.0
             self._geometries.append((mesh, geometry))
         self._control = self._visualizer.get_view_control()
         self._control.set_constant_z_near(0.2)

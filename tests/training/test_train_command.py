@@ -3,9 +3,11 @@ import json
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
 from bridge.model import Model
+from drivers.c3d_file import read_c3d, write_c3d
 from drivers.errors import MarkerbridgeError, UsageError
 from tests.training.conftest import PAPER_SIX
 from training.folds import leave_out
@@ -96,6 +98,22 @@ def test_without_manifest_it_chooses_markers_and_leaves_files_out(small_dir, tmp
     assert not set(info.principal) & set(info.references)
 
 
+def test_captures_without_whole_poses_are_left_out_by_name(small_dir, tmp_path, capsys):
+    folder = tmp_path / "data"
+    folder.mkdir()
+    whole = read_c3d(small_dir / "real/02_01.c3d")
+    blind = whole.xyz.copy()
+    blind[5:, 3] = np.nan
+    write_c3d(folder / "blind.c3d", whole.layout, blind)
+    out = str(tmp_path / "m.onnx")
+    with pytest.raises(MarkerbridgeError, match="no capture has enough frames"):
+        main([str(folder), "--out", out, "--principal", PAPER_SIX, "--no-folds"])
+    write_c3d(folder / "whole.c3d", whole.layout, whole.xyz)
+    assert main([str(folder), "--out", out, "--principal", PAPER_SIX, "--no-folds"]) == 0
+    assert "left out: blind.c3d: fewer than 10 frames" in capsys.readouterr().err
+    assert Model(out).info.training["sequences"] == 1
+
+
 def test_a_fold_drops_all_that_is_known_of_its_performer(train_takes):
     takes = train_takes
     by_name = {take.name: take for take in takes}
@@ -154,3 +172,26 @@ def test_what_cannot_be_written_or_read(small_dir, tmp_path):
     with pytest.raises(MarkerbridgeError, match="no C3D file"):
         main([str(tmp_path), "--out", str(tmp_path / "m.onnx")])
     assert list(tmp_path.iterdir()) == []
+
+
+WITHOUT = """
+import sys
+
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == "{missing}":
+            raise ModuleNotFoundError("No module named " + name, name=name)
+
+sys.meta_path.insert(0, Finder())
+from bridge.cli import main
+sys.exit(main(["train", ".", "--out", "m.onnx"]))
+"""
+
+
+@pytest.mark.parametrize("missing", ["sklearn", "onnx"])
+def test_without_the_training_libraries_it_says_what_to_install(missing):
+    code = WITHOUT.format(missing=missing)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+    assert "pip install 'markerbridge[train]'" in done.stderr
