@@ -7,12 +7,23 @@ import numpy.typing as npt
 
 from bridge.body_frame import BodyFrame
 from bridge.imputation import ConditionalGaussian
-from bridge.model import Model
+from bridge.model import Model, ModelInfo
 from bridge.pose import Pose, Provenance
 from drivers.frame import Floats, Layout, MarkerFrame
 
 Mask = npt.NDArray[np.bool_]
 NOISE = 0.001  # m: standard deviation of a measured coordinate
+
+
+def body_frame(info: ModelInfo) -> BodyFrame:
+    """The body frame of a model's tracked markers, with what the model knows of them."""
+    features = [info.tracked.index(label) for label in info.features]
+    # The origin is C7: at zero, and stiff to the body by definition.
+    mean = np.zeros((len(info.tracked), 3))
+    mean[features] = info.mean
+    spread = np.zeros(len(info.tracked))
+    spread[features] = np.sqrt(np.diag(info.covariance).reshape(-1, 3).mean(axis=1))
+    return BodyFrame(info.tracked, mean, spread)
 
 
 class PoseEstimator:
@@ -29,12 +40,7 @@ class PoseEstimator:
         self._features = np.array([info.tracked.index(label) for label in info.features])
         self._out_tracked = np.array([info.labels.index(label) for label in info.tracked])
         self._out_unworn = np.array([info.labels.index(label) for label in info.unworn])
-        # The origin is C7: at zero, and stiff to the body by definition.
-        mean = np.zeros((len(info.tracked), 3))
-        mean[self._features] = info.mean
-        spread = np.zeros(len(info.tracked))
-        spread[self._features] = np.sqrt(np.diag(info.covariance).reshape(-1, 3).mean(axis=1))
-        self._body = BodyFrame(info.tracked, mean, spread)
+        self._body = body_frame(info)
         self._imputer = ConditionalGaussian(info.mean, info.covariance)
         self._sigma = np.array(info.sigma)
         self._sensitivity = np.array(info.sensitivity)

@@ -19,7 +19,6 @@ from bridge.sinks.sink import Sink, SinkContext, SinkError
 from bridge.statistics import Durations, Mean
 from bridge.truth import Truth, rms_mm
 from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.errors import MarkerbridgeError
 from drivers.frame import Floats, Layout, MarkerFrame, Source, SourceError
 
 log = logging.getLogger(__name__)
@@ -120,6 +119,7 @@ class Session:
                             break
                         self._wake.wait(POLL)
                     frame = self._fifo.popleft() if self._fifo else None
+                    self._wake.notify_all()
                 if frame is not None:
                     self.handle(frame)
         finally:
@@ -214,17 +214,22 @@ class Session:
                 frame = self.source.read(POLL)
                 if frame is None:
                     continue
+                room = max(2.0, FIFO * frame.layout.rate)
                 with self._wake:
+                    while not self.source.live and len(self._fifo) >= room:
+                        if finished.is_set():
+                            return
+                        self._wake.wait(POLL)
                     self._fifo.append(frame)
-                    if len(self._fifo) > max(2.0, FIFO * frame.layout.rate):
+                    if len(self._fifo) > room:
                         self._fifo.popleft()
                         self._counters["fifo_overflow"] += 1
-                    self._wake.notify()
-        except MarkerbridgeError as error:
+                    self._wake.notify_all()
+        except Exception as error:  # for the caller's thread to raise
             self._source_error = error
         finally:
             with self._wake:
-                self._wake.notify()
+                self._wake.notify_all()
 
     def _count(self, frame: MarkerFrame, pose: Pose) -> None:
         if self.last_pose is not None and frame.index > self.last_pose.index + 1:

@@ -104,6 +104,8 @@ def write_c3d(path: str | Path, layout: Layout, xyz: Floats) -> None:
 class C3dSource(Source):
     """Plays a clip at its own rate, `speed` times as fast; speed infinity does not wait."""
 
+    live = False
+
     def __init__(self, name: str, clip: Clip, clock: Clock, speed: float = 1.0) -> None:
         super().__init__(name, clock)
         self.layout = clip.layout

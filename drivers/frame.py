@@ -62,8 +62,11 @@ class Source(ABC):
     """A stream of marker frames.
 
     A driver writes one hook, `_receive`; time-outs, iteration and queueing are here. `counters`
-    counts, by name, everything that was received and everything that was not delivered.
+    counts, by name, everything that was received and everything that was not delivered. `live`:
+    whether frames come whether or not they are read; a file waits.
     """
+
+    live = True
 
     def __init__(self, name: str, clock: Clock = SYSTEM_CLOCK) -> None:
         self.name = name

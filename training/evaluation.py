@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from bridge.body_frame import BodyFrame
-from bridge.estimator import PoseEstimator
+from bridge.estimator import PoseEstimator, body_frame
 from bridge.model import Model, ModelInfo
 from drivers.frame import Floats, Layout, MarkerFrame
 from drivers.marker_set import MARKERS
@@ -144,11 +143,7 @@ def _evaluate_one(
 def _nearest(baseline: NearestNeighbour, info: ModelInfo, measured: Floats) -> Floats:
     """The baseline's unworn markers (N, U, 3) in the world, by the body frame of the estimator."""
     features = [info.tracked.index(label) for label in info.features]
-    mean = np.zeros((len(info.tracked), 3))
-    mean[features] = info.mean
-    spread = np.zeros(len(info.tracked))
-    spread[features] = np.sqrt(np.diag(info.covariance).reshape(-1, 3).mean(axis=1))
-    body = BodyFrame(info.tracked, mean, spread)
+    body = body_frame(info)
     searched = np.empty((len(measured), len(features), 3), np.float32)
     rotations = np.empty((len(measured), 3, 3))
     origins = np.full((len(measured), 1, 3), np.nan)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 from operator import add
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -78,7 +77,10 @@ def fit(
         covariance=np.cov(frames, rowvar=False).tolist(),
         sigma=[0.0] * len(unworn),
         sensitivity=ridge(everything, recipe.noise)[:, :-1].tolist(),
-        training=_figures(segments, leaf, forest),
+        training={
+            "leaves": len(maps),
+            "forest_nodes": sum(tree.tree_.node_count for tree in forest.estimators_),
+        },
     )
     graph = Graph(sparse_forest(forest, recipe.plain), recipe.plain, maps[..., :-1], maps[..., -1])
     return Fitted(graph, info)
@@ -108,18 +110,6 @@ def _forest(
     ]
     labels = np.repeat(leaf, [len(part) for part in rows])
     return train_forest(np.concatenate(rows), labels, recipe.forest, seed)
-
-
-def _figures(
-    segments: Sequence[Segment], leaf: Labels, forest: RandomForestClassifier
-) -> dict[str, Any]:
-    return {
-        "sequences": len({segment.take.name for segment in segments}),
-        "frames": sum(len(segment.poses) for segment in segments),
-        "segments": len(segments),
-        "leaves": int(leaf.max()) + 1,
-        "forest_nodes": sum(tree.tree_.node_count for tree in forest.estimators_),
-    }
 
 
 def _by_leaf(moments: Sequence[Moments], leaf: Labels) -> list[Moments]:

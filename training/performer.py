@@ -14,6 +14,7 @@ import json
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +57,7 @@ class Cycle:
 
 
 def body_coordinates(xyz: Array) -> tuple[Array, Array, Array]:
-    """(N, 41, 3) metres as the pose in the body frame, and that frame's yaw (N,) and origin (N, 3)."""
+    """(N, 41, 3) metres in the body frame, and that frame's yaw (N,) and origin (N, 3)."""
     frame = BodyFrame(REFERENCES)
     body, yaw, origin = np.empty_like(xyz), np.empty(len(xyz)), np.empty((len(xyz), 3))
     for row, pose in enumerate(xyz):
@@ -71,7 +72,7 @@ def gait_cycles(xyz: Array, rate: float) -> Iterator[Cycle]:
     apart = body[:, _LEFT_ANKLE, 1] - body[:, _RIGHT_ANKLE, 1]
     passing = np.flatnonzero((apart[:-1] < 0) & (apart[1:] >= 0))
     moments = passing - apart[passing] / (apart[passing + 1] - apart[passing])
-    for start, end in zip(moments, moments[1:], strict=False):
+    for start, end in pairwise(moments):
         times = np.linspace(start, end, PHASES + 1)
         turn = np.interp(times, np.arange(len(yaw)), yaw)
         first, last = _sample(origin, times[[0, -1]])
@@ -206,7 +207,7 @@ def main() -> None:
     cycle, used = mean_cycle(walking_captures(options.data))
     parameters, explained = fit(cycle)
     options.out.write_text(to_text(parameters))
-    print(f"{len(used)} gait cycles, {100 * explained:.2f} % of the mean cycle's variance")  # noqa: T201
+    print(f"{len(used)} gait cycles, {100 * explained:.2f} % of the mean cycle's variance")
 
 
 if __name__ == "__main__":

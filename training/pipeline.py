@@ -1,4 +1,4 @@
-"""From takes to a model that says how good it is: segments, fits, folds (paper sections 3 and 4)."""
+"""From takes to a model that says how good it is: segments, fits, folds (paper 3 and 4)."""
 
 from __future__ import annotations
 
@@ -80,8 +80,10 @@ def train(
         rest = [segment for segment in segments if segment.take.name not in fold.dropped]
         results = evaluate(_loaded(fitted_on(rest)), fold.scored)
         held += results
-        scores = left_out[fold.name] = _told(mean_scores(results))
-        advance(f"without {fold.name}: RMS {scores['rms_mm']:.1f} mm", FIT_WORK)
+        left_out[fold.name] = _told(mean_scores(results))
+        rms = left_out[fold.name]["rms_mm"]
+        reached = "nothing to score" if rms is None else f"RMS {rms:.1f} mm"
+        advance(f"without {fold.name}: {reached}", FIT_WORK)
     fitted = fitted_on(segments)
     model = _loaded(fitted)
     accuracy: dict[str, Any] = {"folds": None, "test": None}
@@ -92,7 +94,11 @@ def train(
     # Without folds all there is to judge by is what was trained on.
     judged = held or evaluate(model, _takes(segments))
     advance("the model itself", FIT_WORK)
+    # As captured: mirror images are not counted.
     made_with = {
+        "sequences": len(_takes(segments)),
+        "frames": sum(len(segment.poses) for segment in segments),
+        "segments": len(segments),
         "seed": seed,
         "recipe": asdict(recipe),
         "versions": {name: version(name) for name in _LIBRARIES},

@@ -164,7 +164,7 @@ def _summarise(console: Console, path: Path, info: ModelInfo, size: int) -> None
             ("people left out", (info.accuracy["folds"] or {}).get("mean")),
             ("test split", info.accuracy["test"]),
         )
-        if scores
+        if scores and scores["rms_mm"] is not None
     ]
     lines = (
         f"{path}: {size / 1e6:.1f} MB, {info.training['leaves']} local models",

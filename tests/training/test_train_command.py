@@ -32,6 +32,7 @@ def test_the_model_file_says_what_it_is(trained, small_dir):
     assert info.references == ("C7", "LSHO", "RSHO")
     assert (info.estimator, info.history) == ("local", 10)
     assert info.training["sequences"] == 4
+    assert info.training["frames"] == 343 + 316 + 422 + 358  # as captured, without mirror images
     assert info.training["seed"] == 0
     assert info.training["leaves"] == Model(trained[0]).leaves
     assert set(info.training["versions"]) == {"markerbridge", "numpy", "onnx", "scikit-learn"}
