@@ -24,7 +24,7 @@ COMMANDS = {
     "train": ("training.train_command:main", "captures to a model file"),
     "evaluate": ("training.evaluate_command:main", "how good a model is on captures"),
 }
-TRAIN_EXTRA = ("joblib", "onnx", "sklearn")
+TRAIN_EXTRA = ("onnx", "sklearn", "threadpoolctl")
 
 
 def main(argv: list[str] | None = None) -> int:

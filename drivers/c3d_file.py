@@ -91,7 +91,7 @@ def write_c3d(path: str | Path, layout: Layout, xyz: Floats) -> None:
     points[:3, missing] = np.nan
     file["data"]["points"] = points
     file["data"]["meta_points"]["residuals"] = np.where(missing, -1.0, 0.0)[None]
-    part = path.with_name(f".part-{path.name}")
+    part = path.with_name(f".part-{path.stem}.c3d")  # ezc3d wants the ending in small letters
     try:
         file.write(str(part))
         part.replace(path)

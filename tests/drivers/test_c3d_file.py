@@ -60,15 +60,17 @@ def test_the_unit_is_the_files_own(tmp_path: Path, unit: str, metres: float) -> 
     np.testing.assert_allclose(read_c3d(path, ("C7",)).xyz, points * metres, rtol=1e-6)
 
 
-def test_what_is_written_is_read_back(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["a.c3d", "A.C3D", "take 1.c3d"])
+def test_what_is_written_is_read_back(tmp_path: Path, name: str) -> None:
     xyz = np.random.default_rng(0).normal(size=(50, 3, 3)).astype(np.float32)
     xyz[7, 1] = np.nan
     layout = Layout(("C7", "LSHO", "RSHO"), 59.94)
-    write_c3d(tmp_path / "a.c3d", layout, xyz)
-    clip = read_c3d(tmp_path / "a.c3d", layout.labels)
+    path = tmp_path / name
+    write_c3d(path, layout, xyz)
+    clip = read_c3d(path, layout.labels)
     np.testing.assert_allclose(clip.xyz, xyz, atol=1e-6)
     assert clip.layout.rate == pytest.approx(59.94)
-    assert [path.name for path in tmp_path.iterdir()] == ["a.c3d"]
+    assert [entry.name for entry in tmp_path.iterdir()] == [name]
 
 
 def test_bad_files_get_one_line_that_names_them(tmp_path: Path) -> None:
