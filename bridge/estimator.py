@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bridge.body_frame import BodyFrame
-from bridge.imputation import ConditionalGaussian
+from bridge.imputation import ConditionalGaussian, Imputer
 from bridge.model import Model, ModelInfo
 from bridge.pose import Pose, Provenance
 from drivers.frame import Floats, Layout, MarkerFrame
@@ -41,7 +41,8 @@ class PoseEstimator:
         self._out_tracked = np.array([info.labels.index(label) for label in info.tracked])
         self._out_unworn = np.array([info.labels.index(label) for label in info.unworn])
         self._body = body_frame(info)
-        self._imputer = ConditionalGaussian(info.mean, info.covariance)
+        self._gaussian = ConditionalGaussian(info.mean, info.covariance)
+        self._imputer = Imputer(self._gaussian)
         self._sigma = np.array(info.sigma)
         self._sensitivity = np.array(info.sensitivity)
         self._sigma_cache: dict[bytes, tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]] = {}
@@ -52,6 +53,7 @@ class PoseEstimator:
     def reset(self) -> None:
         """Forgets the past: a new performer or sequence."""
         self._body.reset()
+        self._imputer.reset()
         self._history: Floats = np.zeros((0, self.model.leaves), np.float32)
         self._oldest = 0
         self._layout = None
@@ -76,7 +78,9 @@ class PoseEstimator:
             return Pose(frame.index, frame.t, self._last, provenance, sigma)
 
         features = self._imputer.fill(
-            body.to_body(tracked[self._features]), present[self._features]
+            body.to_body(tracked[self._features]),
+            present[self._features],
+            1.0 / frame.layout.rate,
         )
         z, p = self.model.run(features.reshape(1, -1)[:, : self.model.width], self._history)
         if len(self._history):
@@ -108,7 +112,7 @@ class PoseEstimator:
         """Error per coordinate: of the estimate, of what was imputed, and of the body frame."""
         key = present.tobytes()
         if key not in self._sigma_cache:
-            covariance = self._imputer.uncertainty(present[self._features])
+            covariance = self._gaussian.uncertainty(present[self._features])
             moved = np.einsum("if,fg,ig->i", self._sensitivity, covariance, self._sensitivity)
             variance = np.zeros(len(self.model.info.labels))
             variance[self._out_unworn] = self._sigma**2 + moved.reshape(-1, 3).mean(axis=1)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bridge.imputation import ConditionalGaussian
+from bridge.imputation import FADE, ConditionalGaussian, Imputer
 
 random = np.random.default_rng(5)
 COUNT = 4
@@ -44,3 +44,56 @@ def test_with_nothing_there_it_is_the_mean() -> None:
     gaussian = ConditionalGaussian(MEAN, COVARIANCE)
     filled = gaussian.fill(np.full((COUNT, 3), np.nan, np.float32), np.zeros(COUNT, bool))
     np.testing.assert_allclose(filled, MEAN, atol=1e-6)
+
+
+def moving(frames: int) -> np.ndarray:
+    """Markers that stand away from their mean and drift slowly, (frames, COUNT, 3)."""
+    start = random.normal(size=(COUNT, 3))
+    return (start + np.linspace(0, 0.1, frames)[:, None, None]).astype(np.float32)
+
+
+@pytest.mark.parametrize("missing", [[0], [1, 3]])
+def test_a_marker_that_goes_missing_does_not_jump(missing: list[int]) -> None:
+    xyz, present = moving(60), np.ones(COUNT, bool)
+    imputer = Imputer(ConditionalGaussian(MEAN, COVARIANCE))
+    filled = []
+    for frame, markers in enumerate(xyz):
+        now = present.copy()
+        now[missing] = not 20 <= frame < 50
+        filled.append(imputer.fill(np.where(now[:, None], markers, np.nan), now, 1 / 120))
+    path = np.array(filled)
+    jump = np.linalg.norm(path[20, missing] - path[19, missing], axis=1)
+    bare = ConditionalGaussian(MEAN, COVARIANCE).fill(
+        np.where(now[:, None], xyz[20], np.nan), np.isin(range(COUNT), missing, invert=True)
+    )
+    far = np.linalg.norm(bare[missing] - xyz[19, missing], axis=1)
+    assert (jump < 0.1 * far).all()
+    np.testing.assert_array_equal(path[:20], xyz[:20])
+    np.testing.assert_array_equal(path[50:], xyz[50:])
+
+
+def test_in_time_it_is_the_conditional_mean() -> None:
+    gaussian = ConditionalGaussian(MEAN, COVARIANCE)
+    imputer, present = Imputer(gaussian), np.ones(COUNT, bool)
+    markers = moving(1)[0]
+    imputer.fill(markers, present, 1 / 120)
+    present[2] = False
+    mean = gaussian.fill(markers, present)[2]
+    for frame in range(round(8 * FADE * 120)):
+        filled = imputer.fill(markers, present, 1 / 120)[2]
+        away = np.linalg.norm(filled - mean) / np.linalg.norm(markers[2] - mean)
+        assert away == pytest.approx(np.exp(-(frame + 1) / 120 / FADE), rel=1e-3, abs=1e-4)
+    assert away < 1e-3
+
+
+def test_other_markers_dropping_in_and_out_do_not_make_it_drift() -> None:
+    """A marker long missing comes to its conditional mean whatever the others do."""
+    gaussian = ConditionalGaussian(MEAN, COVARIANCE)
+    imputer, markers = Imputer(gaussian), moving(1)[0]
+    imputer.fill(markers, np.ones(COUNT, bool), 1 / 120)
+    for _ in range(2000):
+        present = random.random(COUNT) > 0.05
+        present[1] = False
+        filled = imputer.fill(markers, present, 1 / 120)
+        mean = gaussian.fill(filled, present)
+    assert np.linalg.norm(filled[1] - mean[1]) < 0.1 * np.linalg.norm(markers[1] - mean[1])
