@@ -29,7 +29,8 @@ class BodyFrame:
     Each part is exact where its own markers are there: the origin with C7, the yaw with both
     shoulders. What cannot be had exactly is what best carries the last known configuration of the
     tracked markers onto those present (least squares, weighted by how little a marker moves
-    against the body); with none it holds.
+    against the body); with none it holds. The yaw holds while the shoulder line is too steep to
+    tell it, and is the line's again at once when it is not.
 
     labels: the T tracked markers, in the order of the rows given to `update`. mean: (T, 3) metres,
     their mean positions in the body frame, the configuration before any is known. spread: (T,)

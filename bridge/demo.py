@@ -17,14 +17,15 @@ from rich.console import Console
 
 from bridge import terminal
 from bridge.model import DEFAULT, Model
-from bridge.run_command import open_session, stopping
+from bridge.run_command import open_session
 from bridge.session import Session
 from bridge.sinks.sink import SinkError
 from bridge.view.process import has_display
-from bridge.view.snapshot import snapshot
+from bridge.view.snapshot import check_picture, snapshot
 from drivers.errors import MarkerbridgeError
 from drivers.options import checked, positive
 from drivers.osc_udp import UdpTransport
+from drivers.signals import stopping
 
 START = 20.0  # s that the simulator gets to come up on a slow machine
 TITLE = "markerbridge demo"
@@ -45,34 +46,43 @@ def main(argv: list[str]) -> int:
     model = Model(options.model)
     sinks = [*(options.to or [VMC]), *_view(options.view, console)]
     truth = f"osc://127.0.0.1:{_free_port()}"
+    if options.snapshot:
+        check_picture(options.snapshot)
     with tempfile.TemporaryDirectory(prefix="markerbridge-") as folder:
         port = Path(folder) / "tracker"
         with (
-            _simulator(options, port, truth),
-            open_session(f"serial:{port}", model, sinks, truth) as session,
             stopping() as stop,
+            _simulator(options, port, truth) as simulator,
+            open_session(f"serial:{port}", model, sinks, truth) as session,
         ):
             _introduce(console, options, sinks)
             with terminal.shown(console, session.status, TITLE):
                 session.run(stop, options.seconds)
+            died = simulator.poll() is not None
             session.close()
             status = session.status()
+    console.print(terminal.table(status, f"{TITLE}: ended"))
+    if died:
+        raise DemoError("the simulator ended before the demo did")
+    if not (status.frames or stop.is_set()):
+        raise DemoError("no frame came through the simulated serial port")
     if options.snapshot:
         _take_snapshot(options.snapshot, model, session, console)
-    console.print(terminal.table(status, f"{TITLE}: ended"))
-    if not status.frames:
-        raise DemoError("no frame came through the simulated serial port")
     return 0
 
 
 @contextmanager
-def _simulator(options: argparse.Namespace, port: Path, truth: str) -> Iterator[None]:
+def _simulator(
+    options: argparse.Namespace, port: Path, truth: str
+) -> Iterator[subprocess.Popen[bytes]]:
     """`markerbridge simulate` as a process of its own, from its port's appearance on."""
-    command = [sys.executable, "-m", "bridge.cli", "simulate", options.source, "--loop"]
+    command = [sys.executable, "-P", "-m", "bridge.cli", "simulate", options.source, "--loop"]
     command += ["--to", f"serial:{port}", "--truth", truth, "--model", options.model]
     command += ["--noise", "1mm", "--drop", "5%"]
-    # Should the demo be killed, its simulator ends by itself.
+    # Should the demo be killed while it plays, its simulator ends by itself.
     command += ["--seconds", str(options.seconds + 60)]
+    if options.snapshot:
+        check_picture(options.snapshot)
     with tempfile.TemporaryFile() as errors:
         process = subprocess.Popen(
             command,
@@ -89,7 +99,7 @@ def _simulator(options: argparse.Namespace, port: Path, truth: str) -> Iterator[
                     lines = errors.read().decode(errors="replace").strip().splitlines()
                     raise DemoError(lines[-1] if lines else "the simulator did not start")
                 time.sleep(0.02)
-            yield
+            yield process
         finally:
             process.terminate()
             try:
@@ -102,9 +112,10 @@ def _simulator(options: argparse.Namespace, port: Path, truth: str) -> Iterator[
 def _introduce(console: Console, options: argparse.Namespace, sinks: list[str]) -> None:
     to = " and ".join(sinks) or "nowhere"
     console.print(
-        f"[bold]{TITLE}[/]: {options.source} as a simulated tracker on a serial line "
+        f"{TITLE}: {options.source} as a simulated tracker on a serial line "
         f"(1 mm noise, 5 % of samples dropped), the whole body to {to}, "
         f"for {options.seconds:g} s. Ctrl-C ends it.",
+        markup=False,
         highlight=False,
         soft_wrap=not console.is_terminal,
     )
@@ -126,11 +137,11 @@ def _free_port() -> int:
         return transport.port
 
 
-def _take_snapshot(path: str, model: Model, session: Session, console: Console) -> None:
+def _take_snapshot(path: Path, model: Model, session: Session, console: Console) -> None:
     if session.last_pose is None:
         raise SinkError(f"no pose to draw for {path}")
-    snapshot(Path(path), model.info, session.last_pose, session.last_truth)
-    console.print(f"picture of the view: {path}", highlight=False)
+    snapshot(path, model.info, session.last_pose, session.last_truth)
+    console.print(f"picture of the view: {path}", markup=False, highlight=False)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -149,5 +160,5 @@ def _parser() -> argparse.ArgumentParser:
         action=argparse.BooleanOptionalAction,
         help="open the view or not (default: where there is a display)",
     )
-    add("--snapshot", metavar="F.png", help="write a picture of the view at the end")
+    add("--snapshot", type=Path, metavar="F.png", help="write a picture of the view at the end")
     return parser

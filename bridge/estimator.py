@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bridge.body_frame import BodyFrame
-from bridge.imputation import ConditionalGaussian, Imputer
+from bridge.imputation import PATTERNS, ConditionalGaussian, Imputer
 from bridge.model import Model, ModelInfo
 from bridge.pose import Pose, Provenance
 from drivers.frame import Floats, Layout, MarkerFrame
@@ -112,6 +112,8 @@ class PoseEstimator:
         """Error per coordinate: of the estimate, of what was imputed, and of the body frame."""
         key = present.tobytes()
         if key not in self._sigma_cache:
+            if len(self._sigma_cache) >= PATTERNS:
+                self._sigma_cache.clear()
             covariance = self._gaussian.uncertainty(present[self._features])
             moved = np.einsum("if,fg,ig->i", self._sensitivity, covariance, self._sensitivity)
             variance = np.zeros(len(self.model.info.labels))

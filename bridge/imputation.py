@@ -10,6 +10,7 @@ import numpy.typing as npt
 from drivers.frame import Floats
 
 FADE = 0.5  # s: time constant with which the last sighting is forgotten (docs/decisions/0005)
+PATTERNS = 512  # of missing markers that are kept; nine tracked markers have no more
 _NOISE = 0.005  # m: no coordinate is predicted from the others more finely than this
 
 
@@ -51,6 +52,8 @@ class ConditionalGaussian:
     def _conditional(self, present: npt.NDArray[np.bool_]) -> _Conditional:
         key = present.tobytes()
         if key not in self._cache:
+            if len(self._cache) >= PATTERNS:
+                self._cache.clear()
             known = np.repeat(present, 3)
             missing = ~known
             across = self._covariance[np.ix_(missing, known)]

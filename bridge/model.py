@@ -22,6 +22,7 @@ from drivers.errors import MarkerbridgeError
 from drivers.frame import Floats
 
 FORMAT = 1
+MAX_HISTORY = 240  # frames of 1/120 s
 METADATA_KEY = "markerbridge"
 DEFAULT = "default"
 
@@ -95,6 +96,8 @@ class ModelInfo:
         for name, shape in shapes.items():
             if np.shape(getattr(info, name)) != shape:
                 raise ValueError(f"{name} is not of shape {shape}")
+        if type(info.history) is not int or not 0 <= info.history <= MAX_HISTORY:
+            raise ValueError(f"history is not a number of frames from 0 to {MAX_HISTORY}")
         if info.body_frame != CONSTRUCTION:
             raise ValueError(f"unknown body frame {info.body_frame}")
         return info

@@ -6,12 +6,11 @@ import argparse
 import contextlib
 import json
 import logging
-import signal
 import sys
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
+from typing import Any
 
 from rich.console import Console
 
@@ -22,9 +21,10 @@ from bridge.session import Session
 from bridge.sinks.registry import open_sink
 from bridge.sinks.sink import Sink, SinkContext, SinkError, ViewError
 from bridge.truth import Truth
-from drivers.errors import UsageError
+from drivers.errors import MarkerbridgeError, UsageError
 from drivers.options import checked, positive
 from drivers.registry import open_source
+from drivers.signals import stopping
 
 log = logging.getLogger(__name__)
 
@@ -36,8 +36,8 @@ def main(argv: list[str]) -> int:
     terminal.log_to(console)
     model = Model(options.model)
     with (
-        open_session(options.source, model, options.to, options.truth) as session,
         stopping() as stop,
+        open_session(options.source, model, options.to, options.truth) as session,
     ):
         title = f"markerbridge run {options.source}"
         with (
@@ -49,8 +49,7 @@ def main(argv: list[str]) -> int:
         session.close()
         status = session.status()
     if options.json:
-        json.dump(asdict(status), sys.stdout)
-        sys.stdout.write("\n")
+        _print_json(asdict(status))
     else:
         console.print(terminal.table(status, f"{title}: ended"))
     return 0
@@ -67,6 +66,8 @@ def open_session(
 
     The source comes last: a device starts to send when it is opened, and a view takes its time.
     """
+    if len(set(sinks)) < len(sinks):
+        raise UsageError("a sink is named twice: --to takes each address once")
     with contextlib.ExitStack() as opened:
         truth = open_truth(truth_address, model.info) if truth_address else None
         if truth:
@@ -94,22 +95,17 @@ def open_truth(address: str, info: ModelInfo) -> Truth:
     return Truth(open_source(address), info.labels)
 
 
-@contextmanager
-def stopping() -> Iterator[threading.Event]:
-    """An event that Ctrl-C and SIGTERM set; a second Ctrl-C interrupts for good."""
-    stop = threading.Event()
-
-    def end(number: int, frame: object) -> None:
-        if stop.is_set():
-            raise KeyboardInterrupt
-        stop.set()
-
-    before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
+def _print_json(value: dict[str, Any]) -> None:
+    text = json.dumps(value) + "\n"
     try:
-        yield stop
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        if sys.stdout is None:
+            raise OSError("it is closed")
+        sys.stdout.write(text)
+        sys.stdout.flush()
+    except OSError as error:
+        # Python would try once more at its end, and complain.
+        sys.stdout = None
+        raise MarkerbridgeError(f"cannot write to standard output: {error}") from error
 
 
 def _quietly(close: Callable[[], None]) -> Callable[[], None]:

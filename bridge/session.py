@@ -1,5 +1,5 @@
-"""The run loop: frames from a source, through the estimator, to every sink. All threads are here
-and in the sinks' outlets.
+"""The run loop: frames from a source, through the estimator, to every sink. What they travel on
+are the threads here and in the sinks' outlets.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from drivers.frame import Floats, Layout, MarkerFrame, Source, SourceError
 log = logging.getLogger(__name__)
 
 FIFO = 1.0  # s of frames that may wait for the estimator
+SILENT = 1.0  # s without a frame after which the stream has no rate
 POLL = 0.1  # s between looks at whether to stop
 
 
@@ -206,6 +207,8 @@ class Session:
             )
         self._layout = layout
         self._context.rate = layout.rate
+        for outlet in self._outlets:
+            outlet.stream_rate = layout.rate
 
     def _read(self, finished: threading.Event) -> None:
         """The reader's thread: nothing but reading, so the line is never kept waiting."""
@@ -245,5 +248,7 @@ class Session:
 
     def _recent_rate(self) -> float:
         if len(self._arrivals) < 2 or self._arrivals[-1] <= self._arrivals[0]:
+            return 0.0
+        if self._clock.now() - self._arrivals[-1] > SILENT:
             return 0.0
         return (len(self._arrivals) - 1) / (self._arrivals[-1] - self._arrivals[0])

@@ -16,6 +16,9 @@ class Durations:
         self.maximum = 0.0
 
     def add(self, seconds: float) -> None:
+        """Counts a duration; a negative one (a clip played ahead of its time) is none."""
+        if seconds < 0:
+            return
         self._counts[np.searchsorted(_EDGES, seconds)] += 1
         self.count += 1
         self.maximum = max(self.maximum, seconds)

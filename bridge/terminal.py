@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.live import Live
 from rich.logging import RichHandler
 from rich.table import Table
+from rich.text import Text
 
 from bridge.session import Status
 
@@ -33,7 +34,7 @@ def shown(console: Console, status: Callable[[], Status], title: str) -> Iterato
             if live:
                 live.update(table(status(), title), refresh=True)
             else:
-                console.print(line(status()), highlight=False, soft_wrap=True)
+                console.print(Text(line(status())), soft_wrap=True)
 
     thread = threading.Thread(target=show, name="terminal", daemon=True)
     if live:
@@ -60,11 +61,13 @@ def log_to(console: Console) -> None:
 
 def table(status: Status, title: str) -> Table:
     """The state of a session, a row a fact."""
-    view = Table(title=title, title_justify="left", show_header=False, pad_edge=False)
+    view = Table(
+        title=Text(title, "italic"), title_justify="left", show_header=False, pad_edge=False
+    )
     view.add_column(style="cyan", no_wrap=True)
     view.add_column()
     for name, value in _facts(status):
-        view.add_row(name, value)
+        view.add_row(Text(name), Text(value))
     return view
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from drivers.frame import Floats, Source
 
+AT_ONCE = 64  # frames taken in per frame estimated: a flood must not hold the session up
 KEPT = 1024  # poses: as long as any sink may lag behind
 
 
@@ -20,8 +21,11 @@ class Truth:
         self._poses: OrderedDict[int, Floats] = OrderedDict()
 
     def receive(self) -> None:
-        """Takes in all that has come. The simulator sends a truth before its frame."""
-        while (frame := self.source.read(0.0)) is not None:
+        """Takes in what has come. The simulator sends a truth before its frame."""
+        for _ in range(AT_ONCE):
+            frame = self.source.read(0.0)
+            if frame is None:
+                return
             rows = {label: row for row, label in enumerate(frame.layout.labels)}
             pose: Floats = np.full((len(self._labels), 3), np.nan, np.float32)
             for at, label in enumerate(self._labels):

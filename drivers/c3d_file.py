@@ -11,10 +11,12 @@ import numpy as np
 
 from drivers.c3d_check import check_c3d
 from drivers.clock import Clock
+from drivers.files import whole_file
 from drivers.frame import Floats, Layout, MarkerFrame, Source, SourceError
 from drivers.marker_set import MARKERS
 from drivers.url import Url
 
+MAX_FRAMES = 65_535  # its frame numbers have 16 bits
 _UNITS = {"mm": 1e-3, "cm": 1e-2, "dm": 1e-1, "m": 1.0, "in": 0.0254, "ft": 0.3048}
 
 
@@ -78,9 +80,12 @@ def read_c3d(path: str | Path, labels: tuple[str, ...] | None = MARKERS) -> Clip
 def write_c3d(path: str | Path, layout: Layout, xyz: Floats) -> None:
     """Writes (N, M, 3) metres as millimetres; NaN rows become missing samples (residual -1).
 
-    The file appears whole or not at all. Raises OSError where it cannot be written.
+    The file appears whole or not at all. Raises OSError where it cannot be written, ValueError for
+    more than MAX_FRAMES frames.
     """
     path = Path(path)
+    if len(xyz) > MAX_FRAMES:
+        raise ValueError(f"{path}: {len(xyz)} frames, a C3D file counts to {MAX_FRAMES}")
     file = ezc3d.c3d()
     file.add_parameter("POINT", "LABELS", list(layout.labels))
     file.add_parameter("POINT", "UNITS", ["mm"])
@@ -91,14 +96,11 @@ def write_c3d(path: str | Path, layout: Layout, xyz: Floats) -> None:
     points[:3, missing] = np.nan
     file["data"]["points"] = points
     file["data"]["meta_points"]["residuals"] = np.where(missing, -1.0, 0.0)[None]
-    part = path.with_name(f".part-{path.stem}.c3d")  # ezc3d wants the ending in small letters
     try:
-        file.write(str(part))
-        part.replace(path)
+        with whole_file(path) as part:
+            file.write(str(part))
     except RuntimeError as error:
         raise OSError(f"cannot write {path}: {error}") from error
-    finally:
-        part.unlink(missing_ok=True)
 
 
 class C3dSource(Source):

@@ -23,6 +23,14 @@ LATE = 100  # inputs without a frame that `read` takes in past its deadline
 Floats = npt.NDArray[np.float32]
 
 
+FARTHEST = 10_000.0  # m: no marker is farther away; larger numbers are a broken sender's
+
+
+def in_range(xyz: Floats) -> npt.NDArray[np.bool_]:
+    """Where coordinates are numbers that can be meant, in metres."""
+    return np.abs(xyz) <= FARTHEST  # a NaN compares false
+
+
 class SourceError(MarkerbridgeError):
     """A source cannot be opened or read; the message names it and says what to do."""
 

@@ -21,6 +21,13 @@ def checked(read: Callable[[str], T]) -> Callable[[str], T]:
     return check
 
 
+def seed(text: str) -> int:
+    """A whole number from 0 that every generator of random numbers takes. Raises ValueError."""
+    if not (text.isdecimal() and int(text) < 2**32):
+        raise ValueError(f"'{text}' is no whole number from 0 to {2**32 - 1}")
+    return int(text)
+
+
 def positive(text: str) -> float:
     """A number above 0. Raises ValueError."""
     try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import select
+import termios
 
 import serial
 
@@ -27,7 +28,7 @@ class SerialTransport:
     def __init__(self, path: str, baud: int) -> None:
         try:
             self._port = serial.Serial(path, baud, timeout=0, write_timeout=1.0, exclusive=True)
-        except (serial.SerialException, OSError, ValueError) as error:
+        except (serial.SerialException, OSError, ValueError, termios.error) as error:
             raise SourceError(
                 f"cannot open serial port {path}: {error}; is the device plugged in (or "
                 f"`markerbridge simulate ... --to serial:{path}` running), and may you read it?"
@@ -48,7 +49,7 @@ class SerialTransport:
     def send(self, data: bytes) -> None:
         try:
             self._port.write(data)
-        except (OSError, serial.SerialException) as error:
+        except (OSError, serial.SerialException, termios.error) as error:
             raise TransportLost(str(error)) from error
 
     def close(self) -> None:

@@ -44,11 +44,13 @@ class Url:
             raise UrlError(f"'{text}': options are written ?name=value&name=value") from None
         host, port, path = "", None, rest
         if rest.startswith("//"):
-            parts = urlsplit("x:" + rest)
             try:
+                parts = urlsplit("x:" + rest)
                 host, port = parts.hostname or "", parts.port
             except ValueError:
-                raise UrlError(f"'{text}': the port is not a number from 0 to 65535") from None
+                raise UrlError(
+                    f"'{text}': write HOST:PORT, the port being a number from 0 to 65535"
+                ) from None
             path = rest[2 + len(parts.netloc) :]
         return cls(text, scheme, path, host, port, options)
 

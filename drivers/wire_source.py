@@ -78,7 +78,7 @@ class WireSource(Source):
         self._decoder.reset()
         self._quiet_since = self.clock.now()
         self._say_hello()
-        return True
+        return self._transport is not None  # it may be gone again already
 
     def close(self) -> None:
         super().close()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import signal
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -14,14 +13,15 @@ from drivers.clock import SYSTEM_CLOCK
 from drivers.errors import UsageError
 from drivers.frame import Floats, Layout
 from drivers.marker_set import MARKERS
-from drivers.options import checked, positive
+from drivers.options import checked, positive, seed
+from drivers.signals import stopping
 from drivers.url import Url
 from drivers.wire.cobs import CobsEncoder
 from drivers.wire.codec import Encoder
 from drivers.wire.osc_native import NativeOscEncoder
 from simulators.corruption import Corruption, Faults, parse_gaps, parse_noise, parse_share
 from simulators.device import Device, Wire, truth_wire
-from simulators.lines import Line, PtyLine, UdpSender
+from simulators.lines import Line, PtyLine, UdpLine
 from simulators.performer import load_performer
 
 
@@ -43,13 +43,13 @@ def main(argv: list[str], tracked_markers: Callable[[str], tuple[str, ...]]) -> 
         speed=options.speed,
         truth=truth_wire(truth, layout) if truth else None,
     )
-    _stop_on_signals(device)
     try:
-        if waits:
-            _say(f"{options.to} is there; the clip starts when a host opens it")
-            device.wait_for_host()
-        device.play()
-        line.drain()
+        with stopping() as stop:
+            if waits:
+                _say(f"{options.to} is there; the clip starts when a host opens it")
+                device.wait_for_host(stop)
+            device.play(stop)
+            line.drain()
     finally:
         for end in (line, truth):
             if end:
@@ -105,30 +105,18 @@ def _open_line(url: Url) -> tuple[Line, Encoder, bool]:
     if url.scheme == "osc":
         url.take("dialect", "native", _only("native"))
         url.finish()
-        return UdpSender(*url.address()), NativeOscEncoder(), False
+        return UdpLine(*url.address()), NativeOscEncoder(), False
     raise UsageError(f"--to '{url.text}': write serial:PATH or osc://HOST:PORT")
 
 
-def _open_truth(address: str | None) -> UdpSender | None:
+def _open_truth(address: str | None) -> UdpLine | None:
     if address is None:
         return None
     url = Url.parse(address)
     url.finish()
     if url.scheme != "osc":
         raise UsageError(f"--truth '{address}': write osc://HOST:PORT")
-    return UdpSender(*url.address())
-
-
-def _stop_on_signals(device: Device) -> None:
-    """Ctrl-C and SIGTERM end the clip between two frames; a second one interrupts for good."""
-
-    def stop(_number: int, _frame: object) -> None:
-        if device.done:
-            raise KeyboardInterrupt
-        device.done = True
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, stop)
+    return UdpLine(*url.address())
 
 
 def _only(known: str) -> Callable[[str], str]:
@@ -176,7 +164,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="20%:10-100",
         help="samples missing in bursts of so many frames",
     )
-    add("--seed", type=int, default=0, help="of noise and missing samples (default: 0)")
+    add("--seed", type=checked(seed), default=0, help="of noise and missing samples (default: 0)")
     add(
         "--speed",
         type=checked(positive),

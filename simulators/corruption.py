@@ -20,6 +20,11 @@ class Gaps:
     shortest: int
     longest: int
 
+    @property
+    def mean_seen(self) -> float:
+        """Frames between two gaps in the mean, for a share above 0."""
+        return (self.shortest + self.longest) / 2 * (1 - self.share) / self.share
+
 
 @dataclass(frozen=True, slots=True)
 class Faults:
@@ -54,7 +59,10 @@ def parse_gaps(text: str) -> Gaps:
     match = re.fullmatch(r"(\d+)-(\d+)", lengths.strip())
     if not match or not 1 <= int(match[1]) <= int(match[2]):
         raise ValueError(f"'{text}' are no gaps: write for example 20%:10-100 (share:frames)")
-    return Gaps(parse_share(share), int(match[1]), int(match[2]))
+    gaps = Gaps(parse_share(share), int(match[1]), int(match[2]))
+    if gaps.share and gaps.mean_seen < 1:
+        raise ValueError(f"'{text}' leaves less than a frame between two gaps: make them longer")
+    return gaps
 
 
 class Corruption:
@@ -100,6 +108,4 @@ class Corruption:
     def _length(self, gaps: Gaps, hidden: bool) -> int:
         if hidden:
             return int(self._random.integers(gaps.shortest, gaps.longest + 1))
-        mean_gap = (gaps.shortest + gaps.longest) / 2
-        mean_seen = mean_gap * (1 - gaps.share) / gaps.share
-        return int(self._random.geometric(min(1.0, 1 / mean_seen)))
+        return int(self._random.geometric(1 / gaps.mean_seen))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from threading import Event
 
 from drivers.clock import Clock, VirtualClock
 from drivers.frame import Floats, Layout
@@ -13,7 +14,7 @@ from drivers.wire.osc_native import NativeOscEncoder
 from simulators.corruption import Corruption
 
 LAYOUT_EVERY = 1.0  # s between layout packets
-HELLO_EVERY = 0.5  # s: how long a device that waits for its host waits at a time
+PATIENCE = 0.2  # s: how long the device waits at a time before it looks whether to stop
 
 
 @dataclass(slots=True)
@@ -70,12 +71,12 @@ class Device:
         """When the next frame is to be sent, on the clock."""
         return self._start + self.sent * self._interval
 
-    def wait_for_host(self) -> None:
+    def wait_for_host(self, stop: Event) -> None:
         """Waits for the first hello, answers it, and starts the clip then.
 
         On a serial line only: who opens a port throws away what came before.
         """
-        while not self.done and not self._answered(HELLO_EVERY):
+        while not stop.is_set() and not self._answered(PATIENCE):
             pass
         self._start = self._clock.now()
 
@@ -94,11 +95,12 @@ class Device:
         self._wire.send_frame(now, index, t_device, measured)
         self.sent += 1
 
-    def play(self) -> None:
-        """Sends all frames in real time, until the clip ends."""
-        while not self.done:
-            self._clock.sleep_until(self.due)
-            if not self.done:  # told to stop meanwhile
+    def play(self, stop: Event) -> None:
+        """Sends all frames in real time, until the clip ends or it is told to stop."""
+        while not (self.done or stop.is_set()):
+            moment = self._clock.now() + PATIENCE
+            self._clock.sleep_until(min(self.due, moment))
+            if self.due <= moment:
                 self.step()
 
     def schedule(self, clock: VirtualClock) -> None:

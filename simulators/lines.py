@@ -7,14 +7,13 @@ import fcntl
 import os
 import pty
 import select
-import socket
 import termios
 import time
 import tty
 from pathlib import Path
-from typing import Any
 
 from drivers.errors import MarkerbridgeError
+from drivers.udp_sender import UdpSender
 
 PATIENCE = 0.25  # s that a host gets to make room before bytes are lost
 DRAIN = 2.0  # s that a host gets at the end to read what it was sent
@@ -88,34 +87,24 @@ class PtyLine:
                 os.close(end)
 
 
-class UdpSender:
-    """Datagrams to one receiver; whether anybody listens makes no difference."""
+class UdpLine(UdpSender):
+    """Datagrams as a line: nothing ever comes back. What the system refuses counts as `lost`."""
 
     def __init__(self, host: str, port: int) -> None:
-        try:
-            family, kind, protocol, _, address = socket.getaddrinfo(
-                host, port, type=socket.SOCK_DGRAM
-            )[0]
-        except OSError as error:
-            raise SimulatorError(f"cannot send to {host}:{port}: {error}") from error
-        self._address: Any = address
-        self._socket = socket.socket(family, kind, protocol)
+        super().__init__(host, port)
         self.lost = 0
 
     def receive(self, timeout: float) -> bytes:
         return b""
 
-    def send(self, data: bytes) -> None:
+    def send(self, datagram: bytes | bytearray) -> None:
         try:
-            self._socket.sendto(data, self._address)
+            super().send(datagram)
         except OSError:
             self.lost += 1
 
     def drain(self) -> None:
         """Nothing: a datagram is out of our hands once it is sent."""
 
-    def close(self) -> None:
-        self._socket.close()
 
-
-Line = PtyLine | UdpSender
+Line = PtyLine | UdpLine

@@ -13,11 +13,12 @@ from rich.console import Console
 from rich.table import Table
 
 from bridge.model import Model
-from drivers.errors import MarkerbridgeError
-from drivers.options import checked
+from drivers.errors import MarkerbridgeError, UsageError
+from drivers.options import checked, seed
 from simulators.corruption import Faults, parse_gaps, parse_noise, parse_share
-from training.dataset import load, load_training
+from training.dataset import DatasetError, load, load_training
 from training.evaluation import evaluate, report
+from training.hiding import evaluate_hidden, parse_hiding
 from training.nearest_neighbour import NearestNeighbour
 from training.poses import body_poses
 from training.progress import progress
@@ -44,18 +45,28 @@ def main(argv: list[str]) -> int:
         errors.print(text, style="yellow", markup=False, highlight=False, soft_wrap=True)
 
     model = Model(options.model)
+    if options.hide and options.hide.marker not in model.info.tracked:
+        known = ", ".join(model.info.tracked)
+        raise UsageError(f"--hide: {options.hide.marker} is not tracked ({known} are)")
+    if options.json is not None and not options.json.parent.is_dir():
+        raise MarkerbridgeError(f"cannot write {options.json}: no such folder")
     takes = load(options.data, options.split, warn)
     baseline = None
     if options.train is not None:
         poses = [body_poses(take.xyz) for take in load_training(options.train, warn)]
+        if not any(map(len, poses)):
+            raise DatasetError(f"{options.train}: no frame has all 41 markers")
         baseline = NearestNeighbour(np.concatenate(poses), model.info)
     results = []
+    faults = Faults(options.noise, options.drop, options.gaps)
     with progress(errors, sum(len(take.xyz) for take in takes)) as advance:
-        faults = Faults(options.noise, options.drop, options.gaps)
         for take in takes:
             results += evaluate(model, [take], faults, options.seed, baseline)
             advance(take.name, len(take.xyz))
-    found = report(results)
+    found = report(results, model.info.unworn)
+    if options.hide:
+        hidden = evaluate_hidden(model, takes, options.hide, faults, options.seed)
+        found["hidden"] = hidden.to_json()
     _print(found)
     if options.json is not None:
         _write_json(options.json, found)
@@ -98,7 +109,13 @@ def _parser() -> argparse.ArgumentParser:
         metavar="20%:10-100",
         help="samples missing in bursts of so many frames",
     )
-    add("--seed", type=int, default=0, help="of noise and missing samples (default: 0)")
+    add(
+        "--hide",
+        type=checked(parse_hiding),
+        metavar="M@1s",
+        help="the error of tracked marker M after it has been hidden for so long",
+    )
+    add("--seed", type=checked(seed), default=0, help="of noise and missing samples (default: 0)")
     add("--json", type=Path, metavar="FILE", help="writes the figures there as well")
     return parser
 
@@ -117,10 +134,31 @@ def _print(found: dict[str, Any]) -> None:
     if not console.is_terminal:
         console.width = _WIDTH
     console.print(table)
+    within = [found["sigma"][f"within_{n}"]["mean"] for n in (1, 2)]
+    if None not in within:
+        one, two = (f"{100 * share:.0f} %" for share in within)
+        console.print(
+            f"coordinate errors within one sigma: {one}, within two: {two}", highlight=False
+        )
+    hidden = found.get("hidden")
+    if hidden:
+        _print_hidden(console, hidden)
     latency = found["latency_us"]
     if latency["p50"] is not None:
         console.print(
             f"one frame takes {latency['p50']:.0f} µs (p50), {latency['p99']:.0f} µs (p99)",
+            highlight=False,
+        )
+
+
+def _print_hidden(console: Console, hidden: dict[str, Any]) -> None:
+    if hidden["too_short"]:
+        console.print(f"too short to hide a marker in: {', '.join(hidden['too_short'])}")
+    if hidden["error_mm"] is not None:
+        console.print(
+            f"{hidden['marker']} hidden for {hidden['age_s']:g} s: "
+            f"{hidden['error_mm']:.0f} mm off, RMS over the unworn markers "
+            f"{hidden['unworn_rms_mm']:.1f} mm ({hidden['windows']} times)",
             highlight=False,
         )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -44,13 +44,15 @@ class Scores:
 @dataclass(frozen=True, slots=True, eq=False)
 class Result:
     """One sequence's scores. squared_error: (U,) m², per unworn marker, mean over coordinates and
-    frames, NaN where the truth lacks it; seconds: (N,), each warm call from frame to pose.
+    frames, NaN where the truth lacks it; within: (2, U), share of its coordinate errors within one
+    and two sigma; seconds: (N,), each warm call from frame to pose.
     """
 
     file: str
     frames: int
     scores: Scores
     squared_error: npt.NDArray[np.float64]
+    within: npt.NDArray[np.float64]
     seconds: npt.NDArray[np.float64]
 
 
@@ -60,23 +62,25 @@ def evaluate(
     faults: Faults | None = None,
     seed: int = 0,
     baseline: NearestNeighbour | None = None,
-    done: Callable[[int], None] = lambda frames: None,
 ) -> list[Result]:
-    """Scores each take; `done` is told the frames of each one when it is finished.
-
-    Each sequence has faults of its own, by `seed` and its name: the order does not matter.
-    """
+    """Scores each take."""
     estimator = PoseEstimator(model)
-    results = []
-    for take in takes:
-        corruption = Corruption(
-            faults or Faults(), len(model.info.tracked), [seed, zlib.crc32(take.name.encode())]
+    return [
+        _evaluate_one(
+            estimator, take, measured_markers(take, model.info, faults or Faults(), seed), baseline
         )
-        tracked = [MARKERS.index(label) for label in model.info.tracked]
-        measured = np.array([corruption.apply(frame) for frame in take.xyz[:, tracked]])
-        results.append(_evaluate_one(estimator, take, measured, baseline))
-        done(len(take.xyz))
-    return results
+        for take in takes
+    ]
+
+
+def measured_markers(take: Take, info: ModelInfo, faults: Faults, seed: int) -> Floats:
+    """The tracked markers (N, T, 3) as they reach the estimator.
+
+    Each take has faults of its own, by `seed` and its name: the order does not matter.
+    """
+    tracked = [MARKERS.index(label) for label in info.tracked]
+    corruption = Corruption(faults, len(tracked), [seed, zlib.crc32(take.name.encode())])
+    return np.array([corruption.apply(frame) for frame in take.xyz[:, tracked]])
 
 
 def mean_scores(results: Sequence[Result]) -> Scores:
@@ -85,8 +89,9 @@ def mean_scores(results: Sequence[Result]) -> Scores:
     return Scores(**{name: _mean([row[name] for row in rows]) for name in rows[0]})
 
 
-def report(results: Sequence[Result]) -> dict[str, Any]:
-    """The evaluation as JSON holds it."""
+def report(results: Sequence[Result], unworn: Sequence[str]) -> dict[str, Any]:
+    """The evaluation as JSON holds it; unworn: the labels of the markers scored."""
+    within = np.array([result.within for result in results])
     seconds = np.concatenate([result.seconds for result in results])
     latency = np.percentile(seconds * 1e6, [50, 99]) if len(seconds) else (None, None)
     return {
@@ -95,6 +100,15 @@ def report(results: Sequence[Result]) -> dict[str, Any]:
             {"file": result.file, "frames": result.frames, **result.scores.to_json()}
             for result in results
         ],
+        "sigma": {
+            f"within_{n + 1}": {
+                "mean": _mean_there(within[:, n]),
+                "markers": {
+                    label: _mean_there(within[:, n, marker]) for marker, label in enumerate(unworn)
+                },
+            }
+            for n in range(2)
+        },
         "latency_us": {
             name: None if value is None else round(float(value), 1)
             for name, value in zip(("p50", "p99"), latency, strict=True)
@@ -111,6 +125,7 @@ def _evaluate_one(
     unworn = [info.labels.index(label) for label in info.unworn]
     layout = Layout(info.tracked, take.rate)
     estimate = np.empty_like(truth)
+    sigma = np.empty(truth.shape[:2], np.float32)
     seconds = np.empty(len(truth))
     estimator.reset()
     for index, xyz in enumerate(measured):
@@ -118,12 +133,20 @@ def _evaluate_one(
         start = time.perf_counter()
         pose = estimator.step(frame)
         seconds[index] = time.perf_counter() - start
-        estimate[index] = pose.xyz
+        estimate[index], sigma[index] = pose.xyz, pose.sigma
     nearest = None if baseline is None else _nearest(baseline, info, measured)
     error = (estimate[:, unworn].astype(float) - truth[:, unworn]) ** 2
     there = ~np.isnan(error)
     count = there.sum(axis=(0, 2))
-    squared = np.where(there, error, 0.0).sum(axis=(0, 2))
+
+    def share(values: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
+        """Mean of (N, U, 3) over frames and coordinates, where the truth is there."""
+        total = np.where(there, values, 0.0).sum(axis=(0, 2))
+        blank = np.full(len(count), np.nan)
+        mean: npt.NDArray[np.float64] = np.divide(total, count, out=blank, where=count > 0)
+        return mean
+
+    variance = sigma[:, unworn, None].astype(float) ** 2
     return Result(
         file=take.name,
         frames=len(truth),
@@ -135,7 +158,8 @@ def _evaluate_one(
             nn_rms_mm=None if nearest is None else rms(nearest, truth[:, unworn]),
             nn_jerk_mm=None if nearest is None else jerk(nearest, truth[:, unworn], take.rate),
         ),
-        squared_error=np.divide(squared, count, out=np.full(len(count), np.nan), where=count > 0),
+        squared_error=share(error),
+        within=np.array([share((error <= n**2 * variance).astype(float)) for n in (1, 2)]),
         seconds=seconds[_WARM:],
     )
 
@@ -160,6 +184,11 @@ def _nearest(baseline: NearestNeighbour, info: ModelInfo, measured: Floats) -> F
 
 def _ratio(value: float | None, base: float | None) -> float | None:
     return value / base if value is not None and base else None
+
+
+def _mean_there(values: npt.NDArray[np.float64]) -> float | None:
+    there = values[~np.isnan(values)]
+    return round(float(there.mean()), 4) if there.size else None
 
 
 def _mean(values: Sequence[float | None]) -> float | None:

@@ -78,6 +78,9 @@ def train(
     left_out = {}
     for fold in folds:
         rest = [segment for segment in segments if segment.take.name not in fold.dropped]
+        if not rest:
+            advance(f"without {fold.name}: nothing left to train on", FIT_WORK)
+            continue
         results = evaluate(_loaded(fitted_on(rest)), fold.scored)
         held += results
         left_out[fold.name] = _told(mean_scores(results))

@@ -13,17 +13,17 @@ from rich.console import Console
 from threadpoolctl import threadpool_limits
 
 from bridge.body_frame import REFERENCES
-from bridge.model import ModelInfo
+from bridge.model import MAX_HISTORY, ModelInfo
 from drivers.errors import MarkerbridgeError, UsageError
+from drivers.files import whole_file
 from drivers.marker_set import MARKERS
+from drivers.options import checked, seed
 from training.dataset import TEST, digest, load, load_training, manifest_splits
 from training.export import to_onnx
 from training.folds import leave_out
 from training.pipeline import FIT_WORK, choose_principal, cut, train
 from training.progress import progress
 from training.recipe import RECIPES
-
-MAX_HISTORY = 240  # two seconds
 
 
 def main(argv: list[str]) -> int:
@@ -76,6 +76,8 @@ def check_principal(text: str) -> tuple[str, ...]:
         raise UsageError(
             f"--principal: {', '.join(references)} are references, worn in any case: leave them out"
         )
+    if len({*labels, *REFERENCES}) == len(MARKERS):
+        raise UsageError("--principal: no marker is left to be estimated")
     if len(set(labels)) != len(labels):
         raise UsageError("--principal: a marker is named twice")
     return labels
@@ -108,7 +110,7 @@ def _parser() -> argparse.ArgumentParser:
         help="paper: the plain method; local (default): affine ridge maps, soft votes",
     )
     add("--history", type=_history, metavar="H", help="frames of 1/120 s that the mixture spans")
-    add("--seed", type=int, default=0, help="of all that is random (default: 0)")
+    add("--seed", type=checked(seed), default=0, help="of all that is random (default: 0)")
     add(
         "--no-folds",
         dest="folds",
@@ -147,14 +149,11 @@ def _without_paths(argv: list[str]) -> list[str]:
 
 def _write(path: Path, content: bytes) -> None:
     """The file appears whole or not at all."""
-    part = path.with_name(f".part-{path.name}")
     try:
-        part.write_bytes(content)
-        part.replace(path)
+        with whole_file(path) as part:
+            part.write_bytes(content)
     except OSError as error:
         raise MarkerbridgeError(f"cannot write {path}: {error.strerror}") from error
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _summarise(console: Console, path: Path, info: ModelInfo, size: int) -> None:

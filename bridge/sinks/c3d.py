@@ -8,7 +8,7 @@ import numpy as np
 
 from bridge.pose import Pose, Provenance
 from bridge.sinks.sink import Sink, SinkContext, SinkError
-from drivers.c3d_file import write_c3d
+from drivers.c3d_file import MAX_FRAMES, write_c3d
 from drivers.frame import Floats, Layout
 from drivers.url import Url
 
@@ -16,7 +16,11 @@ LONGEST_GAP = 1200  # frames; a larger jump of the index is another take, not lo
 
 
 class C3dSink(Sink):
-    """Keeps every pose. Lost markers, and frames that the stream lost, are missing samples."""
+    """Keeps every pose. Lost markers, and frames that the stream lost, are missing samples.
+
+    A C3D file ends at 65,535 frames, nine minutes at 120 Hz: then it is written, and a longer take
+    goes on in `out-2.c3d`.
+    """
 
     waiting = None
 
@@ -25,28 +29,41 @@ class C3dSink(Sink):
         self.name = url.text
         self._path = Path(url.file_path())
         url.finish()
-        folder = self._path.parent
+        if self._path.is_dir():
+            raise SinkError(f"cannot write {self._path}: it is a folder")
+        probe = self._path.with_name(f".part-{self._path.name}")
         try:
-            (folder / f".part-{self._path.name}").touch()
-            (folder / f".part-{self._path.name}").unlink()
+            probe.touch()
+            probe.unlink()
         except OSError as error:
             raise SinkError(f"cannot write {self._path}: {error.strerror}") from error
         self._context = context
         self._frames: list[Floats] = []
         self._last = 0
-        self._closed = False
+        self._files = 0
 
     def __call__(self, pose: Pose) -> None:
         gap = pose.index - self._last - 1
         if self._frames and 0 < gap <= LONGEST_GAP:
-            self._frames += [np.full_like(pose.xyz, np.nan)] * gap
+            for _ in range(gap):
+                self._keep(np.full_like(pose.xyz, np.nan))
         lost = pose.provenance[:, None] == Provenance.LOST
-        self._frames.append(np.where(lost, np.nan, pose.xyz))
+        self._keep(np.where(lost, np.nan, pose.xyz))
         self._last = pose.index
 
     def close(self) -> None:
-        """Writes the file, unless there was no pose. Raises OSError where it cannot."""
-        if self._frames and not self._closed:
-            layout = Layout(self._context.info.labels, self._context.rate)
-            write_c3d(self._path, layout, np.stack(self._frames))
-        self._closed = True
+        """Writes what was kept, unless there is nothing. Raises OSError where it cannot."""
+        if not self._frames:
+            return
+        path, number = self._path, self._files + 1
+        if number > 1:
+            path = path.with_name(f"{path.stem}-{number}{path.suffix}")
+        layout = Layout(self._context.info.labels, self._context.rate)
+        write_c3d(path, layout, np.stack(self._frames))
+        self._files = number
+        self._frames = []
+
+    def _keep(self, xyz: Floats) -> None:
+        self._frames.append(xyz)
+        if len(self._frames) == MAX_FRAMES:
+            self.close()

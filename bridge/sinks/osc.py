@@ -15,9 +15,9 @@ from pythonosc.osc_message_builder import OscMessageBuilder
 
 from bridge.pose import Pose, Provenance
 from bridge.sinks.sink import Sink, SinkContext
-from bridge.sinks.udp import UdpOut
 from drivers.frame import Layout
 from drivers.options import positive
+from drivers.udp_sender import UdpSender
 from drivers.url import Url
 from drivers.wire.osc_native import NativeOscEncoder
 
@@ -34,7 +34,7 @@ class OscSink(Sink):
         self.name = url.text
         self.rate = url.take("rate", 0.0, positive)
         url.finish()
-        self._out = UdpOut(url, 9200)
+        self._out = UdpSender(*url.address(9200))
         self._context = context
         labels = len(context.info.labels)
         self._padding = b"\0" * (4 - labels % 4)

@@ -13,16 +13,21 @@ from drivers.clock import Clock
 
 log = logging.getLogger(__name__)
 
-BURST = 0.1  # s: a rate limit is kept over this time, so jitter alone drops nothing
+BURST = 0.1  # s: a rate limit is kept over this time, so jitter alone delays nothing
 FLUSH = 2.0  # s that a sink gets at the end for what still waits
 
 
 class Outlet:
     """Delivers poses to one sink. Without `start`, `put` delivers at once, on the caller's thread.
 
+    A stream slower than the sink's rate loses nothing: after a stall the waiting poses are sent at
+    that rate. A faster one is thinned out: the newest pose wins.
+
     Counts `sent`, `dropped` (the queue was full), `rate_limited` and `errors`. A sink that raises
     loses that pose and no other.
     """
+
+    stream_rate = 0.0  # Hz, once it is known
 
     def __init__(self, sink: Sink, clock: Clock) -> None:
         self.sink = sink
@@ -44,10 +49,10 @@ class Outlet:
     def put(self, pose: Pose) -> None:
         """Takes a pose; drops the oldest waiting one where too many wait."""
         if self._thread is None:
-            if self._wait_for_token() <= 0:
-                self._deliver(pose)
-            else:
+            if self._too_fast and self._wait_for_token() > 0:
                 self.counters["rate_limited"] += 1
+            else:
+                self._deliver(pose)
             return
         with self._wake:
             self._queue.append(pose)
@@ -84,11 +89,16 @@ class Outlet:
             if wait > 0:
                 self._clock.sleep_until(self._clock.now() + wait)
                 self._wait_for_token()
-                with self._wake:
-                    self.counters["rate_limited"] += len(self._queue)
-                    pose = self._queue.pop() if self._queue else pose
-                    self._queue.clear()
+                if self._too_fast:
+                    with self._wake:
+                        self.counters["rate_limited"] += len(self._queue)
+                        pose = self._queue.pop() if self._queue else pose
+                        self._queue.clear()
             self._deliver(pose)
+
+    @property
+    def _too_fast(self) -> bool:
+        return 0 < self.sink.rate < self.stream_rate
 
     def _wait_for_token(self) -> float:
         """Takes a token of the rate limit if there is one; else the seconds until there is."""

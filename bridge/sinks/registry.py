@@ -23,7 +23,8 @@ class _Opener(Protocol):
 def open_sink(address: str, context: SinkContext) -> Sink:
     """Opens a sink by its address, for example `vmc://127.0.0.1:39539?rate=120`.
 
-    Raises UrlError for an address that cannot be meant, SinkError where it cannot be opened.
+    Raises UrlError for an address that cannot be meant, SinkError where it cannot be opened,
+    AddressError where its host is unknown.
     """
     url = Url.parse(address)
     if url.scheme not in SINKS:

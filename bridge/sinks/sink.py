@@ -41,7 +41,7 @@ class Sink(ABC):
     """
 
     name: str
-    waiting: int | None = 25
+    waiting: int | None = 120
     rate: float = 0.0
 
     @abstractmethod

@@ -22,7 +22,7 @@ class ViewSink(Sink):
         info = context.info
         require_open3d()
         if not has_display():
-            raise ViewError("no view: no display here (DISPLAY is not set)")
+            raise ViewError("no view: no display here (DISPLAY is not set, or nobody answers)")
         self._process, self._connection = start(show, info.labels, info.principal)
 
     def __call__(self, pose: Pose) -> None:

@@ -17,8 +17,8 @@ from pythonosc.osc_message_builder import OscMessageBuilder
 from bridge.coordinates import to_unity
 from bridge.pose import Pose
 from bridge.sinks.sink import Sink, SinkContext
-from bridge.sinks.udp import UdpOut
 from drivers.options import positive
+from drivers.udp_sender import UdpSender
 from drivers.url import Url
 
 _BUNDLE_HEAD = 16  # bytes: "#bundle" and the time tag
@@ -31,7 +31,7 @@ class VmcSink(Sink):
         self.name = url.text
         self.rate = url.take("rate", 250.0, positive)  # receivers have crashed above
         url.finish()
-        self._out = UdpOut(url, 39539)
+        self._out = UdpSender(*url.address(39539))
         trackers = [_tracker(label) for label in context.info.labels]
         self._known = _Bundles([_ok(1), _time(), *trackers], self._out.limit)
         self._unknown = _Bundles([_ok(0), _time()], self._out.limit)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import multiprocessing
 import os
 import signal
@@ -48,7 +49,7 @@ def start(target: Callable[..., None], *arguments: Any) -> tuple[BaseProcess, Co
 def stop(process: BaseProcess, connection: Connection) -> None:
     """Ends the process: its connection's end tells it to; if need be it is killed."""
     connection.close()  # again and again does no harm
-    process.join(2.0)
+    process.join(5.0)
     if process.is_alive():
         process.kill()
         process.join()
@@ -61,10 +62,20 @@ def require_open3d() -> None:
 
 
 def has_display() -> bool:
-    """Whether a window would be seen."""
-    return sys.platform != "linux" or any(
-        os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
-    )
+    """Whether a window would be seen. Open3D itself draws where nobody can see it."""
+    if sys.platform != "linux" or os.environ.get("WAYLAND_DISPLAY"):
+        return True
+    if not os.environ.get("DISPLAY"):
+        return False
+    try:
+        x11 = ctypes.CDLL("libX11.so.6")
+    except OSError:
+        return True  # the view's own process says which library is missing
+    x11.XOpenDisplay.restype = ctypes.c_void_p
+    display = x11.XOpenDisplay(None)
+    if display:
+        x11.XCloseDisplay(ctypes.c_void_p(display))
+    return bool(display)
 
 
 def _run(target: Callable[..., None], connection: Connection, *arguments: Any) -> None:

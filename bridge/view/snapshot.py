@@ -12,8 +12,9 @@ import numpy as np
 from bridge.model import ModelInfo
 from bridge.pose import Pose
 from bridge.sinks.sink import SinkError
-from bridge.view.process import READY, start, stop
+from bridge.view.process import READY, require_open3d, start, stop
 from bridge.view.scene import Scene
+from drivers.files import whole_file
 from drivers.frame import Floats
 
 WIDTH, HEIGHT = 1280, 720
@@ -25,19 +26,21 @@ def snapshot(path: Path, info: ModelInfo, pose: Pose, truth: Floats | None) -> N
 
     The file appears whole or not at all. Raises SinkError where it cannot be drawn or written.
     """
+    check_picture(path)
+    try:
+        with whole_file(path) as part:
+            stop(*start(_draw, str(part), info.labels, info.principal, pose, truth))
+    except OSError as error:
+        raise SinkError(f"cannot write {path}: {error.strerror}") from error
+
+
+def check_picture(path: Path) -> None:
+    """Raises SinkError where `snapshot` could not draw, or not write there."""
     if path.suffix.lower() != ".png":
         raise SinkError(f"{path}: a picture's name ends in .png")
     if not path.parent.is_dir():
         raise SinkError(f"cannot write {path}: no such folder")
-    part = path.with_name(f".part-{path.name}")
-    arguments = (str(part), info.labels, info.principal, pose, truth)
-    try:
-        stop(*start(_draw, *arguments))
-        part.replace(path)
-    except OSError as error:
-        raise SinkError(f"cannot write {path}: {error.strerror}") from error
-    finally:
-        part.unlink(missing_ok=True)
+    require_open3d()
 
 
 def _draw(

@@ -20,7 +20,7 @@ class Decoder(Protocol):
         ...
 
     def reset(self) -> None:
-        """Forgets a packet begun before the line was lost."""
+        """Forgets what came before the line was lost: the layout, and a packet begun."""
         ...
 
 

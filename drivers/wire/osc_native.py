@@ -15,7 +15,7 @@ from collections import Counter
 import numpy as np
 from pythonosc.osc_message_builder import OscMessageBuilder
 
-from drivers.frame import Floats, Layout, MarkerFrame
+from drivers.frame import Floats, Layout, MarkerFrame, in_range
 from drivers.wire.osc import OscError, OscMessage, arguments, messages
 
 LAYOUT_ADDRESS = "/markerbridge/layout"
@@ -54,7 +54,7 @@ class NativeOscEncoder:
 
 class NativeOscDecoder:
     """Datagrams to frames. Counts `bad_osc`, `bad_packet`, `foreign` (well-formed OSC that is not
-    ours), `no_layout` and `layout_mismatch`.
+    ours), `no_layout`, `layout_mismatch`, and markers `out_of_range`.
     """
 
     hello = b""
@@ -64,7 +64,7 @@ class NativeOscDecoder:
         self.counters: Counter[str] = Counter()
 
     def reset(self) -> None:
-        """Datagrams are whole: nothing is begun."""
+        self.layout = None
 
     def feed(self, data: bytes, t: float) -> list[MarkerFrame]:
         try:
@@ -114,5 +114,7 @@ class NativeOscDecoder:
         if len(xyz) != len(self.layout.labels):
             self.counters["layout_mismatch"] += 1
             return None
-        xyz[~np.isfinite(xyz).all(axis=1)] = np.nan
+        there = in_range(xyz).all(axis=1)
+        self.counters["out_of_range"] += int((~there & ~np.isnan(xyz).any(axis=1)).sum())
+        xyz[~there] = np.nan
         return MarkerFrame(index, t, t_device, self.layout, xyz)

@@ -51,6 +51,7 @@ def test_the_default_model_is_small() -> None:
             "not a whole ONNX file",
         ),
         ("version", lambda path: changed(path, format=99), "model format 99"),
+        ("history", lambda path: changed(path, history="ten"), "history is not a number"),
         ("frame", lambda path: changed(path, body_frame="upside-down"), "unknown body frame"),
         ("shape", lambda path: changed(path, sigma=[0.1]), "sigma is not of shape"),
         ("entry", lambda path: changed(path, extra=1), "unexpected or missing entries"),

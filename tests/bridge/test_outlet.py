@@ -109,6 +109,7 @@ def test_a_rate_limit_holds_over_time(rate: float, stream: int) -> None:
     gate = Gate(rate=rate)
     gate.let.release(100_000)
     outlet = Outlet(gate, clock)
+    outlet.stream_rate = stream
     seconds = 20
     for index in range(stream * seconds):
         clock.sleep_until(index / stream)
@@ -122,6 +123,7 @@ def test_a_stream_below_the_limit_passes_whole_though_it_comes_in_bursts() -> No
     gate = Gate(rate=250.0)
     gate.let.release(100_000)
     outlet = Outlet(gate, clock)
+    outlet.stream_rate = 120.0
     for index in range(2400):
         clock.sleep_until((index // 6) * 0.05)  # 120 Hz, six at a time
         outlet.put(pose(index))
@@ -131,12 +133,31 @@ def test_a_stream_below_the_limit_passes_whole_though_it_comes_in_bursts() -> No
 def test_with_a_thread_the_limit_keeps_the_newest() -> None:
     gate = Gate(rate=100.0)
     gate.let.release(10_000)
+    gate.waiting = None
     outlet = Outlet(gate, SYSTEM_CLOCK)
+    outlet.stream_rate = 1000.0
     outlet.start()
+    began = SYSTEM_CLOCK.now()
     for index in range(2000):
         outlet.put(pose(index))
     outlet.close()
+    seconds = SYSTEM_CLOCK.now() - began
     assert gate.taken[-1] == 1999
     assert gate.taken == sorted(gate.taken)
-    assert len(gate.taken) < 60
+    assert len(gate.taken) <= 100 * (seconds + 0.1) + 1
     assert sum(outlet.counters.values()) == 2000
+
+
+def test_after_a_stall_a_slower_stream_than_the_limit_loses_nothing() -> None:
+    """60 poses at once: more than the burst, so they are paced, and all of them come."""
+    gate = Gate(waiting=120, rate=400.0)
+    gate.let.release(10_000)
+    outlet = Outlet(gate, SYSTEM_CLOCK)
+    outlet.stream_rate = 120.0
+    outlet.start()
+    began = SYSTEM_CLOCK.now()
+    for index in range(60):
+        outlet.put(pose(index))
+    outlet.close()
+    assert SYSTEM_CLOCK.now() - began >= (60 - 41) / 400
+    assert gate.taken == list(range(60))

@@ -18,7 +18,9 @@ from bridge.pose import Pose, Provenance
 from bridge.sinks.registry import open_sink
 from bridge.sinks.sink import SinkContext, SinkError
 from bridge.sinks.vmc import VmcSink, _Bundles, _tracker
-from drivers.c3d_file import read_c3d
+from drivers.c3d_file import read_c3d, write_c3d
+from drivers.frame import Layout
+from drivers.udp_sender import AddressError
 from drivers.url import Url, UrlError
 from tests.end_to_end.peers import Receiver, free_port, wait_for
 
@@ -191,12 +193,28 @@ def test_a_recording_holds_every_pose_and_lost_ones_as_missing(tmp_path: Path) -
     np.testing.assert_allclose(clip.xyz[[0, 1, 4]], [p.xyz for p in poses], atol=1e-6)
 
 
+def test_a_recording_longer_than_c3d_goes_on_in_another_file(tmp_path, monkeypatch) -> None:
+    """As C3D counts frames in 16 bits; here it counts to 100."""
+    monkeypatch.setattr("bridge.sinks.c3d.MAX_FRAMES", 100)
+    sink = open_sink(f"c3d:{tmp_path / 'out.c3d'}", CONTEXT)
+    for index in range(250):
+        sink(pose(index))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out-2.c3d", "out.c3d"]
+    sink.close()
+    lengths = [len(read_c3d(path).xyz) for path in sorted(tmp_path.iterdir())]
+    assert lengths == [100, 50, 100]  # out-2, out-3, out
+    with pytest.raises(ValueError, match="a C3D file counts to 65535"):
+        write_c3d(tmp_path / "x.c3d", Layout(("C7",), 120.0), np.ones((65536, 1, 3), np.float32))
+
+
 def test_a_recording_without_a_pose_leaves_no_file(tmp_path: Path) -> None:
     open_sink(f"c3d:{tmp_path / 'out.c3d'}", CONTEXT).close()
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_recording_that_cannot_be_written_is_refused_at_once(tmp_path: Path) -> None:
+    with pytest.raises(SinkError, match="it is a folder"):
+        open_sink(f"c3d:{tmp_path}", CONTEXT)
     with pytest.raises(SinkError, match=r"cannot write .*No such file or directory"):
         open_sink(f"c3d:{tmp_path / 'no' / 'out.c3d'}", CONTEXT)
 
@@ -218,7 +236,7 @@ def test_an_address_that_cannot_be_meant_is_refused(address: str, words: str) ->
 
 
 def test_an_unknown_host_is_refused() -> None:
-    with pytest.raises(SinkError, match=r"cannot send to host\.invalid"):
+    with pytest.raises(AddressError, match=r"cannot send to host\.invalid"):
         open_sink("osc://host.invalid:9000", CONTEXT)
 
 

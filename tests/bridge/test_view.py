@@ -165,8 +165,10 @@ def test_where_a_library_is_missing_one_line_says_which_packages(target, words) 
 def test_without_a_display_there_is_no_window(monkeypatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    with pytest.raises(ViewError, match="no display here"):
-        open_sink("view:", SinkContext(INFO, lambda index: None))
+    for _ in range(2):
+        with pytest.raises(ViewError, match="no display here"):
+            open_sink("view:", SinkContext(INFO, lambda index: None))
+        monkeypatch.setenv("DISPLAY", ":4711")
 
 
 @pytest.fixture

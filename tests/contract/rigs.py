@@ -16,7 +16,7 @@ from drivers.transport import memory_line
 from drivers.wire.cobs import CobsDecoder, CobsEncoder
 from drivers.wire.osc_native import NativeOscEncoder
 from drivers.wire_source import WireSource
-from simulators.lines import PtyLine, UdpSender
+from simulators.lines import PtyLine, UdpLine
 
 LAYOUT = Layout(("C7", "LSHO", "RSHO", "LTOE"), 120.0)
 
@@ -73,7 +73,7 @@ class OscRig:
     def __init__(self, folder: Path) -> None:
         self.source = open_source("osc://127.0.0.1:0")
         assert isinstance(self.source, OscSource)
-        self.line = UdpSender("127.0.0.1", self.source.port)
+        self.line = UdpLine("127.0.0.1", self.source.port)
         self.encoder = NativeOscEncoder()
         self.line.send(self.encoder.encode_layout(LAYOUT))
         self.sent = 0

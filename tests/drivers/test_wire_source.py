@@ -89,6 +89,46 @@ def test_a_lost_line_is_tried_every_100_ms_and_the_stream_goes_on() -> None:
     assert not any(name.startswith("bad_") for name in source.counters)
 
 
+def test_a_line_that_breaks_again_at_once_is_only_another_attempt() -> None:
+    clock = VirtualClock()
+    plug = Plug(clock)
+    source = WireSource("plug", plug.connect, CobsDecoder(), clock)
+    opened = plug.connect
+
+    def loose() -> MemoryTransport:
+        line = opened()
+        if len(plug.attempts) < 6:
+            plug.device.close()  # gone before the hello is through
+        return line
+
+    source._connect = loose
+    plug.device.close()
+    assert source.read(2.0) is None
+    assert source.counters["disconnects"] == 5
+    encoder = CobsEncoder()
+    plug.device.send(encoder.encode_layout(LAYOUT) + encoder.encode_frame(2, 0.0, XYZ))
+    assert source.read(0.1) is not None
+
+
+def test_another_device_on_the_line_is_not_read_with_the_labels_of_the_first() -> None:
+    clock = VirtualClock()
+    plug = Plug(clock)
+    source = WireSource("plug", plug.connect, CobsDecoder(), clock)
+    first, second = CobsEncoder(), CobsEncoder()
+    plug.device.send(first.encode_layout(LAYOUT) + first.encode_frame(0, 0.0, XYZ))
+    assert source.read(0.1) is not None
+    plug.pull()
+    plug.put_in()
+    assert source.read(0.2) is None
+    layout = second.encode_layout(Layout(("LTOE",), 120.0))
+    plug.device.send(second.encode_frame(7, 0.0, XYZ))
+    plug.device.send(layout + second.encode_frame(8, 0.0, XYZ))
+    frame = source.read(0.2)
+    assert frame is not None
+    assert (frame.index, frame.layout.labels) == (8, ("LTOE",))
+    assert source.counters["no_layout"] == 1
+
+
 def test_rubbish_that_never_ends_does_not_hold_read_past_its_deadline() -> None:
     clock = VirtualClock()
     plug = Plug(clock)

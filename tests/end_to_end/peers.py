@@ -20,7 +20,7 @@ class Command:
 
     def __init__(self, *arguments: str, cwd: Path | None = None) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "bridge.cli", *arguments],
+            [sys.executable, "-P", "-m", "bridge.cli", *arguments],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             stdin=subprocess.DEVNULL,

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from threading import Event
 
 import numpy as np
 import pytest
@@ -53,7 +54,7 @@ def test_a_serial_device_waits_for_its_host() -> None:
     host, end = memory_line(clock)
     device = device_on(clock, end)
     clock.call_at(7.25, lambda: host.send(CobsDecoder.hello))
-    device.wait_for_host()
+    device.wait_for_host(Event())
     assert clock.now() == 7.25
     assert device.due == 7.25
     assert host.receive(0.0)  # the layout, at once

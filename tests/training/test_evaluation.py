@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bridge.model import Model
-from drivers.errors import UsageError
+from drivers.errors import MarkerbridgeError, UsageError
 from drivers.marker_set import MARKERS
 from simulators.corruption import Faults, Gaps
 from training.dataset import load, load_training
@@ -48,7 +48,10 @@ def test_the_json_is_as_documented(small_dir, tmp_path, capsys):
     )
     found = json.loads(file.read_text(), parse_constant=pytest.fail)
     assert status == 0
-    assert set(found) == {"mean", "sequences", "latency_us"}
+    assert set(found) == {"mean", "sequences", "sigma", "latency_us"}
+    one, two = (found["sigma"][f"within_{n}"] for n in (1, 2))
+    assert 0 < one["mean"] < two["mean"] < 1
+    assert set(one["markers"]) == set(Model("default").info.unworn)
     assert set(found["mean"]) == {*SCORES, *BASELINE}
     (row,) = found["sequences"]
     assert set(row) == {"file", "frames", *SCORES, *BASELINE}
@@ -122,11 +125,14 @@ def test_missing_truth_gives_null_and_valid_json(model, takes):
     truth = take.xyz[:30].copy()
     truth[:, [MARKERS.index(label) for label in model.info.unworn]] = np.nan
     blind = type(take)(take.name, "x", "", "", True, 120.0, truth)
-    found = report(evaluate(model, [blind]))
+    found = report(evaluate(model, [blind]), model.info.unworn)
     assert [found["mean"][name] for name in SCORES] == [None, pytest.approx(0.0), None, None]
     json.dumps(found, allow_nan=False)
     short = type(take)(take.name, "x", "", "", True, 120.0, take.xyz[:3])
-    assert report(evaluate(model, [short]))["latency_us"] == {"p50": None, "p99": None}
+    assert report(evaluate(model, [short]), model.info.unworn)["latency_us"] == {
+        "p50": None,
+        "p99": None,
+    }
 
 
 def test_wrong_usage_and_what_cannot_be_read(small_dir, tmp_path, capsys):
@@ -134,11 +140,11 @@ def test_wrong_usage_and_what_cannot_be_read(small_dir, tmp_path, capsys):
         main(["default", str(small_dir), "--split", "nope"])
     with pytest.raises(UsageError, match=r"no manifest\.csv"):
         main(["default", str(small_dir / "real"), "--split", "test"])
-    with pytest.raises(Exception, match="no such folder"):
+    with pytest.raises(MarkerbridgeError, match="no such folder"):
         main(["default", str(tmp_path / "gone")])
-    with pytest.raises(Exception, match="no such model"):
+    with pytest.raises(MarkerbridgeError, match="no such model"):
         main([str(tmp_path / "gone.onnx"), str(small_dir)])
-    with pytest.raises(Exception, match="cannot write"):
+    with pytest.raises(MarkerbridgeError, match="cannot write"):
         main(["default", str(small_dir), "--json", str(tmp_path / "no" / "f.json")])
     for wrong in (["--noise", "2"], ["--drop", "5"], ["--gaps", "20%"], ["--hide", "C7"]):
         with pytest.raises(SystemExit) as leaving:

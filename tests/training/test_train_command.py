@@ -189,7 +189,7 @@ sys.exit(main(["train", ".", "--out", "m.onnx"]))
 """
 
 
-@pytest.mark.parametrize("missing", ["sklearn", "onnx"])
+@pytest.mark.parametrize("missing", ["sklearn", "onnx", "threadpoolctl"])
 def test_without_the_training_libraries_it_says_what_to_install(missing):
     code = WITHOUT.format(missing=missing)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

@@ -1,0 +1,40 @@
+"""Datagrams to one address; whether anybody listens makes no difference."""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+from typing import Any
+
+from drivers.errors import MarkerbridgeError
+
+ETHERNET = 1472  # bytes: the largest datagram in one Ethernet packet
+LOOPBACK = 65_000  # bytes: on this machine they may be as large as UDP allows
+
+
+class AddressError(MarkerbridgeError):
+    """A host that cannot be found."""
+
+
+class UdpSender:
+    """A UDP socket to host and port. `limit`: the largest datagram worth sending there, bytes."""
+
+    def __init__(self, host: str, port: int) -> None:
+        """Raises AddressError where the host is unknown."""
+        try:
+            family, kind, protocol, _, address = socket.getaddrinfo(
+                host, port, type=socket.SOCK_DGRAM
+            )[0]
+        except OSError as error:
+            raise AddressError(f"cannot send to {host}:{port}: {error}") from error
+        self._address: Any = address
+        self._socket = socket.socket(family, kind, protocol)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        self.limit = LOOPBACK if ipaddress.ip_address(address[0]).is_loopback else ETHERNET
+
+    def send(self, datagram: bytes | bytearray) -> None:
+        """Raises OSError where the system refuses it."""
+        self._socket.sendto(datagram, self._address)
+
+    def close(self) -> None:
+        self._socket.close()
