@@ -61,7 +61,7 @@ def main(argv: list[str]) -> int:
             died = simulator.poll() is not None
             session.close()
             status = session.status()
-    console.print(terminal.table(status, f"{TITLE}: ended"))
+    terminal.summarise(console, status, f"{TITLE}: ended")
     if died:
         raise DemoError("the simulator ended before the demo did")
     if not (status.frames or stop.is_set()):

@@ -51,7 +51,7 @@ def main(argv: list[str]) -> int:
     if options.json:
         _print_json(asdict(status))
     else:
-        console.print(terminal.table(status, f"{title}: ended"))
+        terminal.summarise(console, status, f"{title}: ended")
     return 0
 
 

@@ -59,13 +59,23 @@ def log_to(console: Console) -> None:
     logging.basicConfig(level=logging.WARNING, format=form, handlers=[handler], force=True)
 
 
+def summarise(console: Console, status: Status, title: str) -> None:
+    """The state of a session once more, at its end."""
+    if console.is_terminal:
+        console.print(table(status, title))
+        return
+    console.print(Text(title), soft_wrap=True)
+    for name, value in _facts(status):
+        console.print(Text(f"  {name}: {value}"), soft_wrap=True)
+
+
 def table(status: Status, title: str) -> Table:
     """The state of a session, a row a fact."""
     view = Table(
         title=Text(title, "italic"), title_justify="left", show_header=False, pad_edge=False
     )
-    view.add_column(style="cyan", no_wrap=True)
-    view.add_column()
+    view.add_column(style="cyan", overflow="fold")
+    view.add_column(overflow="fold")
     for name, value in _facts(status):
         view.add_row(Text(name), Text(value))
     return view

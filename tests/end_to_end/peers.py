@@ -94,6 +94,12 @@ def wait_for(condition, what: str, timeout: float = WAIT) -> None:
         time.sleep(0.01)
 
 
+def listening(address: str) -> bool:
+    """Whether somebody holds the UDP port of `osc://HOST:PORT`."""
+    port = int(address.rpartition(":")[2])
+    return f":{port:04X} " in Path("/proc/net/udp").read_text()
+
+
 def free_port() -> int:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))

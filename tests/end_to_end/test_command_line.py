@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import json
+import signal
 import socket
+import subprocess
+import sys
+import threading
 from pathlib import Path
 
 import pytest
+from pythonosc.osc_message_builder import OscMessageBuilder
 
-from tests.end_to_end.peers import Command, Receiver, free_port, running, wait_for
+from drivers.c3d_file import read_c3d
+from tests.end_to_end.peers import Command, Receiver, free_port, listening, running, wait_for
 
 
 def ended(*arguments: str, cwd: Path | None = None) -> tuple[int, str, str]:
@@ -140,3 +146,98 @@ def test_run_ends_after_its_seconds_though_nothing_comes() -> None:
     status, out, _ = ended("run", f"osc://127.0.0.1:{free_port()}", "--seconds", "0.5", "--json")
     assert status == 0
     assert json.loads(out)["frames"] == 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+def test_however_a_session_is_ended_its_recording_is_whole(tmp_path: Path, number: int) -> None:
+    port, take = tmp_path / "tracker", tmp_path / "take [1].c3d"
+    with running("simulate", "performer:walk", "--to", f"serial:{port}") as device:
+        wait_for(port.is_symlink, "the serial port")
+        with (
+            Receiver() as receiver,
+            running(
+                *("run", f"serial:{port}", "--to", f"c3d:{take}"),
+                *("--to", f"osc://127.0.0.1:{receiver.port}"),
+            ) as bridge,
+        ):
+            wait_for(lambda: len(receiver.datagrams) > 50, "poses")
+            bridge.process.send_signal(number)
+            status, _, err = bridge.end()
+        device.process.send_signal(number)
+        assert device.end()[0] == 0
+    assert status == 0, err
+    assert f"to c3d:{take}: " in err
+    assert len(read_c3d(take).xyz) > 50
+    assert not port.is_symlink()
+
+
+def test_a_demo_told_to_stop_while_it_starts_leaves_nothing_behind(tmp_path: Path) -> None:
+    with running("demo", "--no-view", "--seconds", "30", cwd=tmp_path) as demo:
+        wait_for(lambda: _children(demo.process.pid), "the simulator's process")
+        simulators = _children(demo.process.pid)
+        demo.process.terminate()
+        demo.end(20)
+    for pid in simulators:
+        assert not Path(f"/proc/{pid}").exists()
+
+
+def _children(pid: int) -> list[int]:
+    return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def test_a_summary_that_nobody_can_take_is_an_error_in_one_line() -> None:
+    address = f"osc://127.0.0.1:{free_port()}"
+    command = [
+        sys.executable,
+        "-P",
+        "-m",
+        "bridge.cli",
+        "run",
+        address,
+        "--seconds",
+        "0.1",
+        "--json",
+    ]
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert done.returncode == 1
+    assert "cannot write to standard output: " in done.stderr.splitlines()[-1]
+    assert "Traceback" not in done.stderr
+
+
+def test_a_sink_named_twice_is_refused(tmp_path: Path) -> None:
+    sink = f"c3d:{tmp_path / 'x.c3d'}"
+    address = f"osc://127.0.0.1:{free_port()}"
+    status, _, err = ended("run", address, "--to", sink, "--to", sink)
+    assert status == 2
+    assert "a sink is named twice" in err
+
+
+def test_a_flood_on_the_truth_channel_holds_nothing_up(data_dir: Path) -> None:
+    """Rubbish as fast as it can be sent: the session goes on, and stops when it is told to."""
+    truth, address = free_port(), f"osc://127.0.0.1:{free_port()}"
+    stop = threading.Event()
+
+    def flood() -> None:
+        frame = OscMessageBuilder("/markerbridge/frame")
+        frame.add_arg(1, "i")
+        frame.add_arg(0.0, "d")
+        datagram = frame.build().dgram
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+            while not stop.is_set():
+                out.sendto(datagram, ("127.0.0.1", truth))
+
+    thread = threading.Thread(target=flood)
+    with running("run", address, "--truth", f"osc://127.0.0.1:{truth}", "--json") as bridge:
+        wait_for(lambda: listening(address), "the bridge to listen")
+        thread.start()
+        try:
+            source = f"c3d:{data_dir / 'real/02_03.c3d'}"
+            assert ended("simulate", source, "--to", address)[0] == 0
+            bridge.interrupt()
+            status, out, err = bridge.end(20)
+        finally:
+            stop.set()
+            thread.join()
+    assert status == 0, err
+    assert json.loads(out)["frames"] > 0

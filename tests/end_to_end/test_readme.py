@@ -91,7 +91,7 @@ def test_a_live_session_with_the_simulated_tracker(command: str, tmp_path: Path)
             time.sleep(LIVE)  # real processes in real time
             output = interrupted(bridge)
         assert "poses out" in output
-        frames = int(re.search(r"poses out\W+(\d+)", output)[1])
+        frames = int(re.search(r"poses out: (\d+)", output)[1])
         assert frames > 60
         interrupted(device)
     if command == SESSION:

@@ -14,7 +14,7 @@ from bridge.estimator import PoseEstimator
 from bridge.model import Model
 from drivers.c3d_file import C3dSource, read_c3d
 from drivers.clock import VirtualClock
-from tests.end_to_end.peers import Receiver, free_port, running, wait_for
+from tests.end_to_end.peers import Receiver, free_port, listening, running, wait_for
 
 CLIP = "real/07_12.c3d"  # 263 frames, some samples missing
 
@@ -63,7 +63,7 @@ def test_no_frame_is_lost_and_none_differs_from_the_direct_evaluation(
         else:
             # Who plays over UDP hears nothing back: the bridge is there first.
             with running(*run, "--to", f"c3d:{tmp_path / 'out.c3d'}") as bridge:
-                wait_for(lambda: _listening(address), "the bridge to listen")
+                wait_for(lambda: listening(address), "the bridge to listen")
                 with running(*simulate) as device:
                     assert device.end()[0] == 0
                 wait_for(lambda: len(poses(receiver.datagrams, 41)) == len(expected), "poses")
@@ -80,12 +80,6 @@ def test_no_frame_is_lost_and_none_differs_from_the_direct_evaluation(
     assert sorted(received) == list(range(len(expected)))
     difference = max(np.abs(received[i] - expected[i]).max() for i in received)
     assert difference < 1e-4  # 0.1 mm
-
-
-def _listening(address: str) -> bool:
-    port = int(address.rpartition(":")[2])
-    table = Path("/proc/net/udp").read_text()
-    return f":{port:04X} " in table
 
 
 def test_two_shells_with_dropped_markers_and_vmc_out(data_dir: Path, tmp_path: Path) -> None:
