@@ -13,14 +13,15 @@ from drivers.clock import SYSTEM_CLOCK
 from drivers.errors import UsageError
 from drivers.frame import Floats, Layout
 from drivers.marker_set import MARKERS
-from drivers.options import checked, positive, seed
+from drivers.options import checked, positive
 from drivers.signals import stopping
 from drivers.url import Url
 from drivers.wire.cobs import CobsEncoder
 from drivers.wire.codec import Encoder
 from drivers.wire.osc_native import NativeOscEncoder
-from simulators.corruption import Corruption, Faults, parse_gaps, parse_noise, parse_share
+from simulators.corruption import Corruption
 from simulators.device import Device, Wire, truth_wire
+from simulators.fault_options import add_fault_options, faults_of
 from simulators.lines import Line, PtyLine, UdpLine
 from simulators.performer import load_performer
 
@@ -37,7 +38,7 @@ def main(argv: list[str], tracked_markers: Callable[[str], tuple[str, ...]]) -> 
     device = Device(
         poses,
         [layout.labels.index(label) for label in labels],
-        Corruption(Faults(options.noise, options.drop, options.gaps), len(labels), options.seed),
+        Corruption(faults_of(options), len(labels), options.seed),
         Wire(line, encoder, Layout(labels, layout.rate)),
         SYSTEM_CLOCK,
         speed=options.speed,
@@ -144,27 +145,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add("--model", default="default", help="whose tracked markers are sent (default: %(default)s)")
     add("--markers", metavar="A,B,...|all", help="the markers to send, in place of the model's")
-    add(
-        "--noise",
-        type=checked(parse_noise),
-        default=0.0,
-        metavar="1mm",
-        help="Gaussian, per coordinate",
-    )
-    add(
-        "--drop",
-        type=checked(parse_share),
-        default=0.0,
-        metavar="5%",
-        help="samples missing, frame by frame",
-    )
-    add(
-        "--gaps",
-        type=checked(parse_gaps),
-        metavar="20%:10-100",
-        help="samples missing in bursts of so many frames",
-    )
-    add("--seed", type=checked(seed), default=0, help="of noise and missing samples (default: 0)")
+    add_fault_options(parser)
     add(
         "--speed",
         type=checked(positive),

@@ -14,8 +14,8 @@ from rich.table import Table
 
 from bridge.model import Model
 from drivers.errors import MarkerbridgeError, UsageError
-from drivers.options import checked, seed
-from simulators.corruption import Faults, parse_gaps, parse_noise, parse_share
+from drivers.options import checked
+from simulators.fault_options import add_fault_options, faults_of
 from training.dataset import DatasetError, load, load_training
 from training.evaluation import evaluate, report
 from training.hiding import evaluate_hidden, parse_hiding
@@ -58,7 +58,7 @@ def main(argv: list[str]) -> int:
             raise DatasetError(f"{options.train}: no frame has all 41 markers")
         baseline = NearestNeighbour(np.concatenate(poses), model.info)
     results = []
-    faults = Faults(options.noise, options.drop, options.gaps)
+    faults = faults_of(options)
     with progress(errors, sum(len(take.xyz) for take in takes)) as advance:
         for take in takes:
             results += evaluate(model, [take], faults, options.seed, baseline)
@@ -89,33 +89,13 @@ def _parser() -> argparse.ArgumentParser:
         type=Path,
         help="the folder whose training poses the nearest-neighbour baseline searches",
     )
-    add(
-        "--noise",
-        type=checked(parse_noise),
-        default=0.0,
-        metavar="2mm",
-        help="Gaussian, per coordinate",
-    )
-    add(
-        "--drop",
-        type=checked(parse_share),
-        default=0.0,
-        metavar="5%",
-        help="samples missing, frame by frame",
-    )
-    add(
-        "--gaps",
-        type=checked(parse_gaps),
-        metavar="20%:10-100",
-        help="samples missing in bursts of so many frames",
-    )
+    add_fault_options(parser)
     add(
         "--hide",
         type=checked(parse_hiding),
         metavar="M@1s",
         help="the error of tracked marker M after it has been hidden for so long",
     )
-    add("--seed", type=checked(seed), default=0, help="of noise and missing samples (default: 0)")
     add("--json", type=Path, metavar="FILE", help="writes the figures there as well")
     return parser
 

@@ -78,10 +78,7 @@ class OscRig:
         self.line.send(self.encoder.encode_layout(LAYOUT))
         self.sent = 0
 
-    def send(self, xyz: Floats) -> None:
-        for frame in xyz:
-            self.line.send(self.encoder.encode_frame(self.sent, self.sent / 120, frame))
-            self.sent += 1
+    send = SerialRig.send
 
     def send_rubbish(self) -> int:
         good = self.encoder.encode_frame(999, 0.0, stream(1)[0])
