@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
@@ -101,7 +102,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _print(found: dict[str, Any]) -> None:
-    table = Table()
+    table = Table(box=SIMPLE, pad_edge=False)
     table.add_column("sequence", overflow="fold")
     for title in ("frames", *(title for _, title, _ in _COLUMNS)):
         table.add_column(title, justify="right", no_wrap=True)
