@@ -241,3 +241,12 @@ def test_a_flood_on_the_truth_channel_holds_nothing_up(data_dir: Path) -> None:
             thread.join()
     assert status == 0, err
     assert json.loads(out)["frames"] > 0
+
+
+def test_the_demo_shows_a_real_capture_and_takes_a_picture(data_dir: Path, tmp_path: Path) -> None:
+    source = f"c3d:{data_dir / 'real/07_12.c3d'}"  # shorter than the demo: it starts again
+    options = ("--seconds", "3", "--no-view", "--snapshot", "view.png")
+    status, _, err = ended("demo", "--source", source, *options, cwd=tmp_path)
+    assert status == 0, err
+    assert "picture of the view: view.png" in err
+    assert (tmp_path / "view.png").stat().st_size > 20_000
