@@ -21,6 +21,14 @@ def checked(read: Callable[[str], T]) -> Callable[[str], T]:
     return check
 
 
+def parse_seconds(text: str) -> float:
+    """`10s` as 10.0. Raises ValueError."""
+    number = text.strip().removesuffix("s")
+    if number == text.strip():
+        raise ValueError(f"'{text}' is no time: write for example 10s")
+    return positive(number)
+
+
 def seed(text: str) -> int:
     """A whole number from 0 that every generator of random numbers takes. Raises ValueError."""
     if not (text.isdecimal() and int(text) < 2**32):

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +17,9 @@ from rich.table import Table
 
 from bridge.model import Model
 from drivers.errors import MarkerbridgeError, UsageError
-from drivers.options import checked
+from drivers.options import checked, parse_seconds
 from simulators.fault_options import add_fault_options, faults_of
-from training.dataset import DatasetError, load, load_training
+from training.dataset import DatasetError, Take, load, load_training
 from training.evaluation import evaluate, report
 from training.hiding import evaluate_hidden, parse_hiding
 from training.nearest_neighbour import NearestNeighbour
@@ -34,6 +36,7 @@ _COLUMNS = (
     ("rms_ratio", "RMS/NN", ".3f"),
     ("jerk_ratio", "jerk/NN", ".3f"),
 )
+MIN_LENGTH = 1.0  # s of a capture that calibration can be scored on
 _WIDTH = 140  # of the table in a pipe, where no terminal sets it
 
 
@@ -62,8 +65,19 @@ def main(argv: list[str]) -> int:
     faults = faults_of(options)
     with progress(errors, sum(len(take.xyz) for take in takes)) as advance:
         for take in takes:
-            results += evaluate(model, [take], faults, options.seed, baseline)
+            scored, adapted = take, model
+            if options.calibrate:
+                if len(take.xyz) < MIN_LENGTH * take.rate:
+                    warn(
+                        f"left out: {take.name}: under {MIN_LENGTH:g} s, too short to calibrate on"
+                    )
+                    advance(take.name, len(take.xyz))
+                    continue
+                scored, adapted = _calibrated_on_its_start(model, take, options.calibrate)
+            results += evaluate(adapted, [scored], faults, options.seed, baseline)
             advance(take.name, len(take.xyz))
+    if not results:
+        raise DatasetError(f"{options.data}: no capture is long enough to calibrate on")
     found = report(results, model.info.unworn)
     if options.hide:
         hidden = evaluate_hidden(model, takes, options.hide, faults, options.seed)
@@ -72,6 +86,21 @@ def main(argv: list[str]) -> int:
     if options.json is not None:
         _write_json(options.json, found)
     return 0
+
+
+def _calibrated_on_its_start(model: Model, take: Take, longest: float) -> tuple[Take, Model]:
+    """The rest of the take, and the model adapted to its first half, at most `longest` seconds."""
+    try:
+        from training.calibration import calibrated
+    except ModuleNotFoundError as error:
+        raise MarkerbridgeError(
+            f"--calibrate needs {error.name}: pip install 'markerbridge[train]'"
+        ) from error
+    end = min(len(take.xyz) // 2, round(longest * take.rate))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "calibrated.onnx")
+        path.write_bytes(calibrated(model, take.xyz[:end], take.rate))
+        return replace(take, xyz=take.xyz[end:]), Model(path)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -91,6 +120,12 @@ def _parser() -> argparse.ArgumentParser:
         help="the folder whose training poses the nearest-neighbour baseline searches",
     )
     add_fault_options(parser)
+    add(
+        "--calibrate",
+        type=checked(parse_seconds),
+        metavar="10s",
+        help="adapt on the first half of each capture, at most so long, and score the rest",
+    )
     add(
         "--hide",
         type=checked(parse_hiding),

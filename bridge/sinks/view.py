@@ -27,8 +27,15 @@ class ViewSink(Sink):
 
     def __call__(self, pose: Pose) -> None:
         if not self._process.is_alive():
-            raise ViewError("the window is closed; the session goes on without it")
+            raise ViewError(f"{self._reason()}; the session goes on without it")
         self._connection.send((pose, self._truth(pose.index)))
+
+    def _reason(self) -> str:
+        """Why the process ended: what it said, if anything."""
+        try:
+            return str(self._connection.recv()) if self._connection.poll() else "it ended"
+        except (EOFError, OSError):
+            return "the window is closed"
 
     def close(self) -> None:
         stop(self._process, self._connection)

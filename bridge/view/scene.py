@@ -56,7 +56,8 @@ _SIDES = 8
 _RING = mesh.circle(_SIDES)[0]
 _CIRCLE, _CIRCLE_TRIANGLES = mesh.circle(20)
 _QUAD = mesh.fan(4)
-_STROKES = 80  # room for the meter's figure
+_MOST = 9999.0  # mm: the largest error that the meter writes
+_STROKES = len(strokes("RMS 8888 mm"))  # room for any figure: no digit has more strokes than an 8
 
 
 class Camera:
@@ -289,7 +290,7 @@ class _Meter:
         bar = _box(np.array([-_METER_HALF]), np.array([end]), -half, half)
         marks = np.linspace(-_METER_HALF, _METER_HALF, 5)
         ticks = _box(marks - 0.003, marks + 0.003, -half - 0.02, -half)
-        text = f"RMS {error:.0f} mm"
+        text = f"RMS {min(error, _MOST):.0f} mm"
         lines = (strokes(text) - [width(text) / 2, 0]) * _LETTER + [0, half + 0.05]
         padded = np.zeros((_STROKES, 2, 2))
         padded[: len(lines)] = lines

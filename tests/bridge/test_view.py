@@ -19,7 +19,7 @@ from bridge.pose import Pose, Provenance
 from bridge.sinks.registry import open_sink
 from bridge.sinks.sink import SinkContext, SinkError, ViewError
 from bridge.view import process
-from bridge.view.scene import CYAN, GOLD, GREEN, GREY, ORANGE, WHITE
+from bridge.view.scene import CYAN, GOLD, GREEN, GREY, ORANGE, WHITE, Camera, Scene
 from bridge.view.snapshot import snapshot
 from simulators.performer import load_performer
 from tests.end_to_end.peers import wait_for
@@ -101,6 +101,13 @@ def test_the_meter_shows_the_error_to_a_full_scale_of_200_mm(tmp_path, both) -> 
         folder.mkdir()
         lengths.append(bar(picture(folder, pose(error), TRUE)))
     np.testing.assert_allclose(lengths, [103, 206, 309, 412], atol=4)
+
+
+@pytest.mark.parametrize("error", [0.888, 8.888, 1e6])
+def test_the_meter_has_room_for_any_error(error: float) -> None:
+    scene = Scene(INFO.labels, INFO.principal)
+    scene.update(pose(error), TRUE, Camera(*np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])))
+    assert np.isfinite(scene.flat.points).all()
 
 
 def test_without_a_truth_there_is_one_body_in_the_middle_and_no_meter(tmp_path) -> None:
@@ -206,5 +213,21 @@ def test_a_window_that_dies_ends_nothing_but_itself(display) -> None:
     sink._process.kill()
     wait_for(lambda: not sink._process.is_alive(), "the window's end")
     with pytest.raises(ViewError, match="the session goes on without it"):
+        sink(pose())
+    sink.close()
+
+
+def breaks(connection: Connection, labels: tuple[str, ...], principal: tuple[str, ...]) -> None:
+    connection.send(process.READY)
+    connection.recv()
+    raise RuntimeError("the card is on fire")
+
+
+def test_what_went_wrong_in_the_window_is_said(display, monkeypatch) -> None:
+    monkeypatch.setattr("bridge.sinks.view.show", breaks)
+    sink = open_sink("view:", SinkContext(INFO, lambda index: TRUE))
+    sink(pose())
+    wait_for(lambda: not sink._process.is_alive(), "the window's end")
+    with pytest.raises(ViewError, match="RuntimeError: the card is on fire; the session goes on"):
         sink(pose())
     sink.close()
