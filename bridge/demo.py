@@ -81,8 +81,6 @@ def _simulator(
     command += ["--noise", "1mm", "--drop", "5%"]
     # Should the demo be killed while it plays, its simulator ends by itself.
     command += ["--seconds", str(options.seconds + 60)]
-    if options.snapshot:
-        check_picture(options.snapshot)
     with tempfile.TemporaryFile() as errors:
         process = subprocess.Popen(
             command,

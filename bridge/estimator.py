@@ -47,7 +47,6 @@ class PoseEstimator:
         self._sensitivity = np.array(info.sensitivity)
         self._sigma_cache: dict[bytes, tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]] = {}
         self._layout: Layout | None = None
-        self._rows = np.zeros(0, int)
         self.reset()
 
     def reset(self) -> None:
@@ -65,8 +64,7 @@ class PoseEstimator:
             self._adopt(frame.layout)
         info, body = self.model.info, self._body
         tracked: Floats = np.full((len(self._tracked), 3), np.nan, np.float32)
-        known = self._rows >= 0
-        tracked[known] = frame.xyz[self._rows[known]]
+        tracked[self._carried] = frame.xyz[self._rows]
         present: Mask = ~np.isnan(tracked[:, 0])
         tracked[~present] = np.nan
         body.update(tracked)
@@ -101,7 +99,8 @@ class PoseEstimator:
     def _adopt(self, layout: Layout) -> None:
         """Finds the tracked markers by label; keeps the history's length in seconds."""
         rows = {label: row for row, label in enumerate(layout.labels)}
-        self._rows = np.array([rows.get(label, -1) for label in self._tracked])
+        self._carried = np.array([label in rows for label in self._tracked])
+        self._rows = np.array([rows[label] for label in self._tracked if label in rows], int)
         if self._layout is None or layout.rate != self._layout.rate:
             length = max(0, round(self.model.info.history * layout.rate / 120.0))
             self._history = np.zeros((length, self.model.leaves), np.float32)

@@ -14,9 +14,9 @@ from onnx import numpy_helper
 
 from bridge.estimator import PoseEstimator, body_frame
 from bridge.model import METADATA_KEY, Model
-from drivers.errors import MarkerbridgeError
 from drivers.frame import Floats, Layout, MarkerFrame
 from drivers.marker_set import MARKERS
+from training.dataset import DatasetError
 from training.local_models import Array, Moments, affine, ridge
 
 NOISE = 0.1  # m: what holds the map back; chosen on people left out (docs/decisions/0012)
@@ -26,12 +26,12 @@ MIN_FRAMES = 30
 def calibrated(model: Model, xyz: Floats, rate: float) -> bytes:
     """The model file for the person of a capture (N, 41, 3): metres, world, as in MARKERS.
 
-    Frames that lack a marker are left out. Raises MarkerbridgeError where fewer than MIN_FRAMES
-    have all.
+    Frames that lack a marker are left out. Raises DatasetError where fewer than MIN_FRAMES have
+    all.
     """
     x, residual = _residuals(model, xyz, rate)
     if len(x) < MIN_FRAMES:
-        raise MarkerbridgeError(
+        raise DatasetError(
             f"calibration needs {MIN_FRAMES} frames with all 41 markers, there are {len(x)}"
         )
     correction = ridge(Moments.of(affine(x), residual), NOISE)

@@ -66,15 +66,12 @@ def main(argv: list[str]) -> int:
     with progress(errors, sum(len(take.xyz) for take in takes)) as advance:
         for take in takes:
             scored, adapted = take, model
-            if options.calibrate:
-                if len(take.xyz) < MIN_LENGTH * take.rate:
-                    warn(
-                        f"left out: {take.name}: under {MIN_LENGTH:g} s, too short to calibrate on"
-                    )
-                    advance(take.name, len(take.xyz))
-                    continue
-                scored, adapted = _calibrated_on_its_start(model, take, options.calibrate)
-            results += evaluate(adapted, [scored], faults, options.seed, baseline)
+            try:
+                if options.calibrate:
+                    scored, adapted = _calibrated_on_its_start(model, take, options.calibrate)
+                results += evaluate(adapted, [scored], faults, options.seed, baseline)
+            except DatasetError as error:
+                warn(f"left out: {take.name}: {error}")
             advance(take.name, len(take.xyz))
     if not results:
         raise DatasetError(f"{options.data}: no capture is long enough to calibrate on")
@@ -89,13 +86,14 @@ def main(argv: list[str]) -> int:
 
 
 def _calibrated_on_its_start(model: Model, take: Take, longest: float) -> tuple[Take, Model]:
-    """The rest of the take, and the model adapted to its first half, at most `longest` seconds."""
-    try:
-        from training.calibration import calibrated
-    except ModuleNotFoundError as error:
-        raise MarkerbridgeError(
-            f"--calibrate needs {error.name}: pip install 'markerbridge[train]'"
-        ) from error
+    """The rest of the take, and the model adapted to its first half, at most `longest` seconds.
+
+    Raises DatasetError for a take that is too short, or has too few whole frames there.
+    """
+    from training.calibration import calibrated  # the only part that wants the extra `train`
+
+    if len(take.xyz) < MIN_LENGTH * take.rate:
+        raise DatasetError(f"under {MIN_LENGTH:g} s, too short to calibrate on")
     end = min(len(take.xyz) // 2, round(longest * take.rate))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "calibrated.onnx")

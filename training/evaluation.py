@@ -17,7 +17,7 @@ from drivers.frame import Floats, Layout, MarkerFrame
 from drivers.marker_set import MARKERS
 from simulators.corruption import Corruption, Faults
 from training.dataset import Take
-from training.metrics import jerk, rms, roughness
+from training.metrics import jerk, mean_known, rms, roughness
 from training.nearest_neighbour import NearestNeighbour
 
 _WARM = 10  # calls at the start of a sequence that its latency leaves out
@@ -102,9 +102,9 @@ def report(results: Sequence[Result], unworn: Sequence[str]) -> dict[str, Any]:
         ],
         "sigma": {
             f"within_{n + 1}": {
-                "mean": _mean_there(within[:, n]),
+                "mean": mean_known(within[:, n]),
                 "markers": {
-                    label: _mean_there(within[:, n, marker]) for marker, label in enumerate(unworn)
+                    label: mean_known(within[:, n, marker]) for marker, label in enumerate(unworn)
                 },
             }
             for n in range(2)
@@ -184,11 +184,6 @@ def _nearest(baseline: NearestNeighbour, info: ModelInfo, measured: Floats) -> F
 
 def _ratio(value: float | None, base: float | None) -> float | None:
     return value / base if value is not None and base else None
-
-
-def _mean_there(values: npt.NDArray[np.float64]) -> float | None:
-    there = values[~np.isnan(values)]
-    return round(float(there.mean()), 4) if there.size else None
 
 
 def _mean(values: Sequence[float | None]) -> float | None:

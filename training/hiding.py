@@ -15,7 +15,7 @@ from drivers.frame import Layout, MarkerFrame
 from simulators.corruption import Faults
 from training.dataset import Take
 from training.evaluation import measured_markers
-from training.metrics import frame_rms
+from training.metrics import frame_rms, mean_known
 
 EVERY = 0.5  # s between the starts of two hidings
 BEFORE = 0.5  # s that the estimator sees the marker before it is hidden
@@ -88,12 +88,7 @@ def evaluate_hidden(
         hiding.marker,
         hiding.seconds,
         len(errors),
-        _mean(errors),
-        _mean(rms),
+        mean_known(np.array(errors)),
+        mean_known(np.array(rms)),
         tuple(too_short),
     )
-
-
-def _mean(values: Sequence[float]) -> float | None:
-    there = [value for value in values if not np.isnan(value)]
-    return float(np.mean(there)) if there else None

@@ -28,13 +28,13 @@ def frame_rms(estimate: Floats, truth: Floats) -> Array:
 
 def rms(estimate: Floats, truth: Floats) -> float | None:
     """The mean over frames of `frame_rms`."""
-    return _mean(frame_rms(estimate, truth))
+    return mean_known(frame_rms(estimate, truth))
 
 
 def jerk(estimate: Floats, truth: Floats, rate: float) -> float | None:
     """Jerkiness (paper 3.4.2): mean norm of the velocity's error, mm per 1/120 s."""
     error = np.diff(estimate.astype(float), axis=0) - np.diff(truth.astype(float), axis=0)
-    mean = _mean(np.linalg.norm(error, axis=2))
+    mean = mean_known(np.linalg.norm(error, axis=2))
     return None if mean is None else mean * _MM * rate / _RATE
 
 
@@ -49,6 +49,7 @@ def roughness(estimate: Floats, truth: Floats) -> float | None:
     return float(rough[both].mean() / true[both].mean())
 
 
-def _mean(values: Array) -> float | None:
+def mean_known(values: Array) -> float | None:
+    """The mean of the values that are not NaN; None without any."""
     there = values[~np.isnan(values)]
     return float(there.mean()) if len(there) else None

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from bridge.model import Model
-from drivers.c3d_file import read_c3d
-from drivers.errors import MarkerbridgeError
+from drivers.c3d_file import read_c3d, write_c3d
 from training.calibration import NOISE, _residuals, calibrated
+from training.dataset import DatasetError
 from training.evaluate_command import main
 from training.reference import ReferenceModel
 
@@ -55,7 +58,7 @@ def test_the_estimate_comes_nearer_on_the_rest_of_the_walk(model, walk, tmp_path
 
 
 def test_too_few_whole_frames_are_refused(model, walk) -> None:
-    with pytest.raises(MarkerbridgeError, match="needs 30 frames with all 41 markers"):
+    with pytest.raises(DatasetError, match="needs 30 frames with all 41 markers"):
         calibrated(model, walk[:20], 120.0)
 
 
@@ -64,8 +67,6 @@ def test_evaluate_scores_the_rest_and_names_what_is_too_short(
 ) -> None:
     folder = tmp_path / "captures"
     folder.mkdir()
-    from drivers.c3d_file import write_c3d
-
     for name, frames in (("07_12", None), ("16_57", 100)):
         clip = read_c3d(data_dir / f"real/{name}.c3d")
         write_c3d(folder / f"{name}.c3d", clip.layout, clip.xyz[:frames])
@@ -82,3 +83,29 @@ def test_evaluate_scores_the_rest_and_names_what_is_too_short(
     with pytest.raises(SystemExit):
         main(["default", str(folder), "--calibrate", "10"])
     assert "write for example 10s" in capsys.readouterr().err
+
+
+def test_a_capture_without_whole_frames_is_left_out_and_the_others_scored(
+    data_dir: Path, tmp_path: Path, capsys
+) -> None:
+    clip = read_c3d(data_dir / "real/07_12.c3d")
+    holed = clip.xyz.copy()
+    holed[:, 0] = np.nan
+    write_c3d(tmp_path / "holed.c3d", clip.layout, holed)
+    write_c3d(tmp_path / "whole.c3d", clip.layout, clip.xyz)
+    file = tmp_path / "out.json"
+    assert main(["default", str(tmp_path), "--calibrate", "10s", "--json", str(file)]) == 0
+    assert [row["file"] for row in json.loads(file.read_text())["sequences"]] == ["whole.c3d"]
+    assert "left out: holed.c3d: calibration needs 30 frames" in capsys.readouterr().err
+
+
+def test_without_the_extra_it_says_what_to_install(data_dir: Path, tmp_path: Path) -> None:
+    shutil.copy(data_dir / "real/07_12.c3d", tmp_path)
+    code = (
+        "import sys; sys.modules['onnx'] = None; from bridge.cli import main; "
+        f"sys.exit(main(['evaluate', 'default', {str(tmp_path)!r}, '--calibrate', '10s']))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "onnx is not installed: pip install 'markerbridge[train]'" in done.stderr
+    assert "Traceback" not in done.stderr
