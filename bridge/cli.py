@@ -23,8 +23,26 @@ COMMANDS = {
     ),
     "train": ("training.train_command:main", "captures to a model file"),
     "evaluate": ("training.evaluate_command:main", "how good a model is on captures"),
+    "select-markers": (
+        "training.select_command:main",
+        "which markers to track: a study of how stable the choice is",
+    ),
+    "fetch": ("training.fetch_command:main", "captures from the CMU database, with a manifest"),
 }
-TRAIN_EXTRA = ("onnx", "sklearn", "threadpoolctl")
+EXTRAS = {
+    "train": (
+        "jinja2",
+        "joblib",
+        "matplotlib",
+        "onnx",
+        "pooch",
+        "requests",
+        "sklearn",
+        "threadpoolctl",
+        "urllib3",
+    ),
+    "cluster": ("distributed",),
+}
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -33,7 +51,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="markerbridge",
         description="A handful of motion-capture markers in, a whole moving body out, live.",
-        epilog="\n".join(f"  {name:<10}{text}" for name, (_, text) in COMMANDS.items()),
+        epilog="\n".join(f"  {name:<16}{text}" for name, (_, text) in COMMANDS.items()),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=version("markerbridge"))
@@ -49,11 +67,12 @@ def main(argv: list[str] | None = None) -> int:
         print(f"markerbridge {chosen.command}: error: {error}", file=sys.stderr)
         return error.exit_status
     except ModuleNotFoundError as error:
-        if error.name not in TRAIN_EXTRA:
+        extra = next((name for name, modules in EXTRAS.items() if error.name in modules), None)
+        if extra is None:
             raise
         print(
             f"markerbridge {chosen.command}: error: {error.name} is not installed: "
-            "pip install 'markerbridge[train]'",
+            f"pip install 'markerbridge[{extra}]'",
             file=sys.stderr,
         )
         return 1

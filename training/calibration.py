@@ -17,7 +17,7 @@ from bridge.model import METADATA_KEY, Model
 from drivers.frame import Floats, Layout, MarkerFrame
 from drivers.marker_set import MARKERS
 from training.dataset import DatasetError
-from training.local_models import Array, Moments, affine, ridge
+from training.local_models import Array, NormalEquations, affine, ridge
 
 NOISE = 0.1  # m: what holds the map back; chosen on people left out (docs/decisions/0012)
 MIN_FRAMES = 30
@@ -34,7 +34,7 @@ def calibrated(model: Model, xyz: Floats, rate: float) -> bytes:
         raise DatasetError(
             f"calibration needs {MIN_FRAMES} frames with all 41 markers, there are {len(x)}"
         )
-    correction = ridge(Moments.of(affine(x), residual), NOISE)
+    correction = ridge(NormalEquations.of(affine(x), residual), NOISE)
     file = onnx.load(str(model.path))
     for entry in file.graph.initializer:
         values = numpy_helper.to_array(entry)

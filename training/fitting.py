@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import reduce
-from operator import add
 
 import numpy as np
 import numpy.typing as npt
@@ -15,113 +12,161 @@ from bridge.body_frame import REFERENCES
 from bridge.model import ModelInfo
 from drivers.frame import Floats
 from drivers.marker_set import MARKERS
-from training.clustering import divide, segment_features
-from training.dataset import Take
+from training.clustering import DivisiveKMeans, SegmentFeatures, segment_features
+from training.corpus import Corpus
 from training.export import Graph
 from training.forest import sparse_forest, train_forest
-from training.local_models import Array, Moments, affine, least_squares, ridge, shrunk
+from training.local_models import NormalEquations, least_squares, ridge, shrunk
+from training.mirroring import mirrored
+from training.moments import (
+    COORDINATES,
+    ONE,
+    PACKED,
+    columns_of,
+    matrix,
+    mean_and_covariance,
+    mirrored_moments,
+)
 from training.recipe import Recipe
 
-Labels = npt.NDArray[np.int64]
+Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Segment:
-    """A stretch of one take with one simple behaviour: poses (n, 41, 3) in the body frame."""
+class Leaves:
+    """The segments in their clusters. Where the recipe says so, each segment has a mirrored twin.
 
-    take: Take
-    poses: Floats
+    segments: (S,), rows of the corpus. leaf: (S,) of each, twin: (S,) of its twin, None without.
+    """
 
-    def rows(self, labels: Sequence[str]) -> Floats:
-        """The coordinates (n, 3M) of some markers."""
-        columns = [MARKERS.index(label) for label in labels]
-        return self.poses[:, columns].reshape(len(self.poses), -1)
+    segments: Indices
+    leaf: Indices
+    twin: Indices | None
+    features: SegmentFeatures
+    hierarchy: DivisiveKMeans
+
+    @property
+    def count(self) -> int:
+        return int(self.hierarchy.n_leaves_)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rows:
+    """What the forest is trained on. x: (N, D); leaf: (N,) its answer; segment: (N,) of the corpus;
+    pose: (N,) of the corpus.
+    """
+
+    x: Floats
+    leaf: Indices
+    segment: Indices
+    pose: Indices
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fitted:
-    """The graph, and its description without any accuracy yet."""
+    """The graph, its description without any accuracy yet, and what it came from."""
 
     graph: Graph
     info: ModelInfo
+    leaves: Leaves
 
 
 def fit(
-    segments: Sequence[Segment], principal: tuple[str, ...], recipe: Recipe, seed: int
+    corpus: Corpus, segments: Indices, principal: tuple[str, ...], recipe: Recipe, seed: int
 ) -> Fitted:
-    """The model that these segments give."""
+    """The model that these segments of the corpus give."""
     tracked = (*principal, *REFERENCES)
-    features = [label for label in tracked if label != "C7"]
-    unworn = [label for label in MARKERS if label not in tracked]
-    rows = [segment.rows(MARKERS) for segment in segments]
-    leaf = divide(segment_features(rows, recipe.covariance_weight), recipe.tolerance, seed)
-    x = [segment.rows(features) for segment in segments]
-    z = [segment.rows(unworn) for segment in segments]
-    everything = _sum([Moments.of(affine(a), b) for a, b in zip(x, z, strict=True)])
+    features = tuple(label for label in tracked if label != "C7")
+    unworn = tuple(label for label in MARKERS if label not in tracked)
+    x, z = columns_of(features), columns_of(unworn)
+    leaves = cluster(corpus, segments, recipe, seed)
+    own = [matrix(moments) for moments in _leaf_moments(corpus, leaves)]
+    everything = sum(own[1:], own[0])
+    whole = NormalEquations.between(everything, np.append(x, ONE), z)
     # What the graph takes: the plain method knows the principal markers alone, which come first.
-    inputs = [a[:, : 3 * len(principal)] for a in x] if recipe.plain else x
-    maps = (
-        _plain_maps(inputs, z, leaf)
-        if recipe.plain
-        else _local_maps(inputs, z, leaf, everything, recipe)
-    )
-    forest = _forest(segments, inputs, leaf, recipe, seed)
-    frames = np.concatenate(x).astype(float)
+    width = 3 * len(principal) if recipe.plain else len(x)
+    maps = np.array([_map(moments, x[:width], z, whole, recipe) for moments in own], np.float32)
+    rows = forest_rows(corpus, leaves, x[:width])
+    forest = train_forest(rows.x, rows.leaf, recipe.forest, seed)
+    mean, covariance = mean_and_covariance(everything, x)
     info = ModelInfo(
         estimator="paper" if recipe.plain else "local",
         labels=MARKERS,
         principal=principal,
         references=REFERENCES,
         history=recipe.history,
-        mean=frames.mean(axis=0).reshape(-1, 3).tolist(),
-        covariance=np.cov(frames, rowvar=False).tolist(),
+        mean=mean.reshape(-1, 3).tolist(),
+        covariance=covariance.tolist(),
         sigma=[0.0] * len(unworn),
-        sensitivity=ridge(everything, recipe.noise)[:, :-1].tolist(),
-        training={
-            "leaves": len(maps),
-            "forest_nodes": sum(tree.tree_.node_count for tree in forest.estimators_),
-        },
+        sensitivity=ridge(whole, recipe.noise)[:, :-1].tolist(),
+        training={"leaves": leaves.count, "forest_nodes": _nodes(forest)},
     )
     graph = Graph(sparse_forest(forest, recipe.plain), recipe.plain, maps[..., :-1], maps[..., -1])
-    return Fitted(graph, info)
+    return Fitted(graph, info, leaves)
 
 
-def _plain_maps(x: Sequence[Floats], z: Sequence[Floats], leaf: Labels) -> Floats:
-    """(K, U, D + 1): least squares on each leaf's frames, the constant being zero."""
-    moments = _by_leaf([Moments.of(a, b) for a, b in zip(x, z, strict=True)], leaf)
-    return _stack([np.pad(least_squares(own), ((0, 0), (0, 1))) for own in moments])
+def cluster(corpus: Corpus, segments: Indices, recipe: Recipe, seed: int) -> Leaves:
+    """The leaves of these segments, and of their mirror images where the recipe wants them."""
+    moments = corpus.moments[segments]
+    if recipe.mirror:
+        moments = np.concatenate([moments, mirrored_moments(moments)])
+    features = segment_features(moments, recipe.covariance_weight)
+    hierarchy = DivisiveKMeans(recipe.tolerance, seed).fit(features.rows)
+    count = len(segments)
+    twin = hierarchy.labels_[count:] if recipe.mirror else None
+    return Leaves(segments, hierarchy.labels_[:count], twin, features, hierarchy)
 
 
-def _local_maps(
-    x: Sequence[Floats], z: Sequence[Floats], leaf: Labels, everything: Moments, recipe: Recipe
-) -> Floats:
-    """(K, U, D + 1): affine, held back towards the map of all frames."""
-    moments = _by_leaf([Moments.of(affine(a), b) for a, b in zip(x, z, strict=True)], leaf)
-    return _stack([shrunk(own, everything, recipe.share, recipe.noise) for own in moments])
+def forest_rows(corpus: Corpus, leaves: Leaves, columns: npt.NDArray[np.intp]) -> Rows:
+    """The poses of the corpus in these segments, then their mirror images, as the forest sees them:
+    these coordinates of theirs.
+    """
+    place = np.full(len(corpus.frames), -1)
+    place[leaves.segments] = np.arange(len(leaves.segments))
+    pose = np.flatnonzero(place[corpus.segment] >= 0)
+    segment = corpus.segment[pose]
+    poses = corpus.poses[pose]
+    shown, leaf = [poses], [leaves.leaf[place[segment]]]
+    if leaves.twin is not None:
+        shown.append(mirrored(poses))
+        leaf.append(leaves.twin[place[segment]])
+    return Rows(
+        np.concatenate([part.reshape(-1, COORDINATES)[:, columns] for part in shown]),
+        np.concatenate(leaf),
+        np.tile(segment, len(shown)),
+        np.tile(pose, len(shown)),
+    )
 
 
-def _forest(
-    segments: Sequence[Segment], x: Sequence[Floats], leaf: Labels, recipe: Recipe, seed: int
-) -> RandomForestClassifier:
-    """Trained on some frames of each segment, all of them labelled with its leaf."""
-    rows = [
-        frames[:: max(1, round(recipe.forest_step * segment.take.rate))]
-        for segment, frames in zip(segments, x, strict=True)
-    ]
-    labels = np.repeat(leaf, [len(part) for part in rows])
-    return train_forest(np.concatenate(rows), labels, recipe.forest, seed)
+def _leaf_moments(corpus: Corpus, leaves: Leaves) -> Array:
+    """(K, PACKED): the moments of all frames in each leaf."""
+    total = np.zeros((leaves.count, PACKED))
+    for leaf in range(leaves.count):
+        total[leaf] = corpus.moments[leaves.segments[leaves.leaf == leaf]].sum(axis=0)
+        if leaves.twin is not None:
+            twins = corpus.moments[leaves.segments[leaves.twin == leaf]].sum(axis=0)
+            total[leaf] += mirrored_moments(twins)
+    return total
 
 
-def _by_leaf(moments: Sequence[Moments], leaf: Labels) -> list[Moments]:
-    return [
-        _sum([own for own, mine in zip(moments, leaf == number, strict=True) if mine])
-        for number in range(leaf.max() + 1)
-    ]
+def _map(
+    moments: Array,
+    x: npt.NDArray[np.intp],
+    z: npt.NDArray[np.intp],
+    whole: NormalEquations,
+    recipe: Recipe,
+) -> Array:
+    """One leaf's map (U, D + 1), the constant being last.
+
+    The plain method's is least squares, the constant being zero; else it is held back towards the
+    map of all frames.
+    """
+    if recipe.plain:
+        return np.pad(least_squares(NormalEquations.between(moments, x, z)), ((0, 0), (0, 1)))
+    own = NormalEquations.between(moments, np.append(x, ONE), z)
+    return shrunk(own, whole, recipe.share, recipe.noise)
 
 
-def _sum(moments: Sequence[Moments]) -> Moments:
-    return reduce(add, moments)
-
-
-def _stack(maps: Sequence[Array]) -> Floats:
-    return np.array(maps, np.float32)
+def _nodes(forest: RandomForestClassifier) -> int:
+    return sum(tree.tree_.node_count for tree in forest.estimators_)

@@ -5,41 +5,41 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from training.dataset import UNKNOWN, Take
+from training.dataset import UNKNOWN, Capture
 
 MAX_FOLDS = 8
 
 
 @dataclass(frozen=True, slots=True)
 class Fold:
-    """name: who or what is left out. dropped: names of the takes that training must not see.
-    scored: real captures among them, to score the model on.
+    """name: who or what is left out. dropped: names of the captures that training must not see.
+    scored: the real ones among them, to score the model on.
     """
 
     name: str
     dropped: frozenset[str]
-    scored: tuple[Take, ...]
+    scored: tuple[Capture, ...]
 
 
-def leave_out(takes: Sequence[Take]) -> list[Fold]:
-    """Folds that leave performers out, each with every take, real or not, known to be theirs.
+def leave_out(captures: Sequence[Capture]) -> list[Fold]:
+    """Folds that leave performers out, each with every capture, real or not, known to be theirs.
 
     Only where fewer than two performers are known are files left out instead. At most MAX_FOLDS;
     none for a single file.
     """
-    real = [take for take in takes if take.real]
-    performers = sorted({take.subject for take in real} - {UNKNOWN})
+    real = [capture for capture in captures if capture.real]
+    performers = sorted({capture.subject for capture in real} - {UNKNOWN})
     if len(performers) > 1:
         groups = [set(performers[part::MAX_FOLDS]) for part in range(MAX_FOLDS)]
-        held = [[take for take in takes if take.subject in group] for group in groups]
+        held = [[one for one in captures if one.subject in group] for group in groups]
         names = [", ".join(sorted(group)) for group in groups]
-    elif len(takes) > 1:
+    elif len(captures) > 1:
         held = [real[part::MAX_FOLDS] for part in range(MAX_FOLDS)]
-        names = [", ".join(take.name for take in group) for group in held]
+        names = [", ".join(capture.name for capture in group) for group in held]
     else:
         return []
     return [
-        Fold(name, frozenset(take.name for take in group), tuple(t for t in group if t.real))
+        Fold(name, frozenset(one.name for one in group), tuple(one for one in group if one.real))
         for name, group in zip(names, held, strict=True)
         if group
     ]

@@ -54,12 +54,11 @@ def train_forest(
     options: ForestOptions,
     seed: int,
 ) -> RandomForestClassifier:
-    """Fits rows x (N, D) to the numbers (N,) of their local models."""
+    """Fits rows x (N, D) to the numbers (N,) of their local models, by the workers in force."""
     forest = RandomForestClassifier(
         options.trees,
         min_samples_leaf=options.leaf,
         max_depth=options.depth,
-        n_jobs=2,
         random_state=seed,
     )
     forest.fit(x, labels)

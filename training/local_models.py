@@ -7,14 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from training.moments import ONE
+
 Array = npt.NDArray[np.float64]
+Columns = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Moments:
+class NormalEquations:
     """Sums over frames, all that least squares needs: xx (D, D), zx (U, D), their weight.
 
-    Adding moments is pooling frames. An affine map is a linear one of x with a last entry of 1.
+    Adding them is pooling frames. An affine map is a linear one of x with a last entry of 1.
     """
 
     xx: Array
@@ -22,18 +25,23 @@ class Moments:
     weight: float
 
     @classmethod
-    def of(cls, x: npt.NDArray[np.floating], z: npt.NDArray[np.floating]) -> Moments:
+    def of(cls, x: npt.NDArray[np.floating], z: npt.NDArray[np.floating]) -> NormalEquations:
         """Of frames x (N, D) and z (N, U), each of them weighing 1."""
         inputs, outputs = x.astype(float), z.astype(float)
         return cls(inputs.T @ inputs, outputs.T @ inputs, len(x))
 
-    def __add__(self, other: Moments) -> Moments:
-        return Moments(self.xx + other.xx, self.zx + other.zx, self.weight + other.weight)
+    @classmethod
+    def between(cls, whole: Array, x: Columns, z: Columns) -> NormalEquations:
+        """Of the columns x and z of a matrix (D, D) of sums of products."""
+        return cls(whole[np.ix_(x, x)], whole[np.ix_(z, x)], float(whole[ONE, ONE]))
 
-    def scaled(self, weight: float) -> Moments:
+    def __add__(self, other: NormalEquations) -> NormalEquations:
+        return NormalEquations(self.xx + other.xx, self.zx + other.zx, self.weight + other.weight)
+
+    def scaled(self, weight: float) -> NormalEquations:
         """The same frames, weighing `weight` together."""
         factor = weight / self.weight
-        return Moments(factor * self.xx, factor * self.zx, weight)
+        return NormalEquations(factor * self.xx, factor * self.zx, weight)
 
 
 def affine(x: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
@@ -41,22 +49,22 @@ def affine(x: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
     return np.hstack([x, np.ones((len(x), 1), x.dtype)])
 
 
-def least_squares(moments: Moments) -> Array:
+def least_squares(equations: NormalEquations) -> Array:
     """B (U, D), the paper's Z X^T (X X^T)^-1; the smallest B where the frames leave it open."""
-    return _solve(moments.xx, moments.zx)
+    return _solve(equations.xx, equations.zx)
 
 
-def ridge(moments: Moments, noise: float) -> Array:
+def ridge(equations: NormalEquations, noise: float) -> Array:
     """[B c] (U, D + 1) of affine frames, B held back as if x were measured with `noise` metres.
 
     The constant is free.
     """
-    penalty = np.full(len(moments.xx), moments.weight * noise**2)
+    penalty = np.full(len(equations.xx), equations.weight * noise**2)
     penalty[-1] = 0.0
-    return _solve(moments.xx + np.diag(penalty), moments.zx)
+    return _solve(equations.xx + np.diag(penalty), equations.zx)
 
 
-def shrunk(leaf: Moments, everything: Moments, share: float, noise: float) -> Array:
+def shrunk(leaf: NormalEquations, everything: NormalEquations, share: float, noise: float) -> Array:
     """[B c] of one leaf, shrunk towards the global map.
 
     The frames of all leaves are pooled with the leaf's own, weighing `share` of them together: a

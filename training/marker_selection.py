@@ -9,6 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from sklearn.cluster import KMeans
 
+from training.ppca import components_for
+
 Array = npt.NDArray[np.float64]
 
 VARIANCE = 0.95  # share of the variance that the components keep
@@ -26,31 +28,31 @@ class Selection:
 
 
 def select_markers(
-    poses: npt.NDArray[np.floating],
+    covariance: Array,
     labels: Sequence[str],
     seed: int = 0,
     spare_clusters: int = SPARE_CLUSTERS,
+    restarts: int = RESTARTS,
 ) -> Selection:
     """The fewest important markers that cover all clusters of coordinates.
 
-    poses: (N, M, 3) metres in the body frame, only the markers that may be chosen; labels: theirs.
-    More spare clusters give more markers.
+    covariance: (3M, 3M) of coordinates in the body frame, only of the markers that may be chosen;
+    labels: theirs. More spare clusters give more markers.
     """
-    weights = component_weights(poses.reshape(len(poses), -1), VARIANCE)
+    weights = component_weights(covariance, VARIANCE)
     count = min(weights.shape[1] + spare_clusters, len(weights))
-    means = KMeans(count, n_init=RESTARTS, random_state=seed).fit(weights)
+    means = KMeans(count, n_init=restarts, random_state=seed).fit(weights)
     cluster = means.labels_.reshape(-1, 3)
     distance = ((weights - means.cluster_centers_[means.labels_]) ** 2).sum(axis=1)
     kept = cover(cluster, distance.reshape(-1, 3).sum(axis=1))
     return Selection(tuple(labels[marker] for marker in kept), weights.shape[1], count)
 
 
-def component_weights(data: npt.NDArray[np.floating], variance: float) -> Array:
+def component_weights(covariance: Array, variance: float) -> Array:
     """|V| (D, q): what each coordinate weighs in the first components, by their variance."""
-    values, axes = np.linalg.eigh(np.cov(data.astype(float), rowvar=False))
-    values, axes = values[::-1], axes[:, ::-1]
-    count = 1 + int(np.searchsorted(np.cumsum(values), variance * values.sum()))
-    weights: Array = np.abs(axes[:, :count])
+    values, axes = np.linalg.eigh(covariance)
+    kept = components_for(values[::-1], variance)
+    weights: Array = np.abs(axes[:, ::-1][:, :kept])
     return weights
 
 

@@ -16,9 +16,13 @@ def _twin(label: str) -> str:
     return other if other in MARKERS else label
 
 
-_TWINS = [MARKERS.index(_twin(label)) for label in MARKERS]
+_TWINS = np.array([MARKERS.index(_twin(label)) for label in MARKERS], np.intp)
+# Coordinate c of the twin is SIGNS[c] times coordinate COLUMNS[c] of the pose.
+MIRRORED_COLUMNS = (3 * _TWINS[:, None] + np.arange(3)).ravel()
+MIRRORED_SIGNS = np.tile(np.array([-1, 1, 1], np.float32), len(MARKERS))
 
 
 def mirrored(poses: Floats) -> Floats:
     """Poses (N, 41, 3) in the body frame with left and right exchanged."""
-    return poses[:, _TWINS] * np.array([-1, 1, 1], np.float32)
+    rows = poses.reshape(len(poses), -1)
+    return (rows[:, MIRRORED_COLUMNS] * MIRRORED_SIGNS).reshape(poses.shape)

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from training.ppca import Ppca, Sums
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,66 +35,47 @@ class Segmentation:
 
     def cut(self, poses: npt.NDArray[np.floating], rate: float) -> list[slice]:
         """The segments of one sequence (N, D), in order and without gaps."""
-        block = max(1, round(self.step * rate))
-        moments = _Moments(poses, block)
-        first, ahead = (max(1, round(t * rate / block)) for t in (self.first, self.ahead))
+        frames = max(1, round(self.step * rate))
+        blocks = _Blocks(poses, frames)
+        first, ahead = (max(1, round(t * rate / frames)) for t in (self.first, self.ahead))
         cuts = [0]
-        while (cut := self._next_cut(moments, cuts[-1], first, ahead)) is not None:
+        while (cut := self._next_cut(blocks, cuts[-1], first, ahead)) is not None:
             cuts.append(cut)
-        edges = [cut * block for cut in cuts] + [len(poses)]
+        edges = [cut * frames for cut in cuts] + [len(poses)]
         return [slice(a, b) for a, b in pairwise(edges)]
 
-    def _next_cut(self, moments: _Moments, start: int, first: int, ahead: int) -> int | None:
+    def _next_cut(self, blocks: _Blocks, start: int, first: int, ahead: int) -> int | None:
         """The block where the behaviour that starts at block `start` ends; None: it does not."""
         valley, peak, at = np.inf, 0.0, 0
-        for now in range(start + first, moments.blocks - ahead + 1):
-            distance = self.distance(moments.between(start, now), moments.between(now, now + ahead))
+        now = start + first
+        if now + ahead > len(blocks):
+            return None
+        fitted, coming = blocks.between(start, now), blocks.between(now, now + ahead)
+        while True:
+            distance = Ppca.of(fitted, self.variance, self.floor).distance(coming)
             if distance > peak and distance > self.rise * valley:
                 peak, at = distance, now
             elif peak:
                 # Past the peak. What comes next must be long enough to be fitted itself.
-                return at if moments.blocks - at >= first else None
+                return at if len(blocks) - at >= first else None
             valley = min(valley, distance)
-        return None
-
-    def distance(self, fitted: tuple[Array, Array], ahead: tuple[Array, Array]) -> float:
-        """H: mean squared Mahalanobis distance per coordinate of frames ahead from a fitted model.
-
-        Both are (mean (D,), second moment (D, D)). The model is probabilistic PCA: its largest
-        directions as they are, one variance for all others. 1 for frames of the same Gaussian.
-        """
-        mean, second = fitted
-        values, axes = np.linalg.eigh(second - np.outer(mean, mean))
-        values = np.maximum(values[::-1], 0.0)
-        axes = axes[:, ::-1]
-        free = 1 + int(np.searchsorted(np.cumsum(values), self.variance * values.sum()))
-        noise = max(float(values[free:].mean()) if free < len(values) else 0.0, self.floor**2)
-        variances = np.full(len(values), noise)
-        variances[:free] = np.maximum(values[:free], noise)
-        ahead_mean, ahead_second = ahead
-        about = ahead_second - np.outer(mean, ahead_mean) - np.outer(ahead_mean, mean)
-        about += np.outer(mean, mean)
-        spread = np.einsum("ij,ik,kj->j", axes, about, axes, optimize=True)
-        return float((spread / variances).mean())
+            if now + ahead == len(blocks):
+                return None
+            # The window moves on by a block: no pass over all frames so far.
+            passed = blocks.between(now, now + 1)
+            fitted += passed
+            coming += blocks.between(now + ahead, now + ahead + 1) - passed
+            now += 1
 
 
-class _Moments:
-    """Mean and second moment of any run of blocks, from cumulative sums: no pass per question."""
+class _Blocks:
+    """A sequence (N, D) in blocks of some frames; what is left over at its end is left out."""
 
-    def __init__(self, poses: npt.NDArray[np.floating], block: int) -> None:
-        self.blocks = len(poses) // block
-        self._block = block
-        frames = poses[: self.blocks * block].astype(float)
-        frames = frames.reshape(self.blocks, block, poses.shape[1])
-        self._first = _cumulated(frames.sum(axis=1))
-        self._second = _cumulated(frames.transpose(0, 2, 1) @ frames)
+    def __init__(self, poses: npt.NDArray[np.floating], frames: int) -> None:
+        self._poses, self._frames = poses, frames
 
-    def between(self, start: int, end: int) -> tuple[Array, Array]:
-        count = (end - start) * self._block
-        first: Array = (self._first[end] - self._first[start]) / count
-        second: Array = (self._second[end] - self._second[start]) / count
-        return first, second
+    def __len__(self) -> int:
+        return len(self._poses) // self._frames
 
-
-def _cumulated(parts: Array) -> Array:
-    return np.concatenate([np.zeros_like(parts[:1]), np.cumsum(parts, axis=0)])
+    def between(self, start: int, end: int) -> Sums:
+        return Sums.of(self._poses[start * self._frames : end * self._frames])

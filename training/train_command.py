@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,12 +19,16 @@ from drivers.errors import MarkerbridgeError, UsageError
 from drivers.files import whole_file
 from drivers.marker_set import MARKERS
 from drivers.options import checked, seed
-from training.dataset import TEST, digest, load, load_training, manifest_splits
+from training.corpus import Corpus, read_corpus, work_of
+from training.dataset import TEST, digest, manifest_splits, no_captures, training_captures
+from training.dataset import captures as captures_of
 from training.export import to_onnx
+from training.fitting import Leaves
 from training.folds import leave_out
-from training.pipeline import FIT_WORK, choose_principal, cut, train
+from training.pipeline import FIT_WORK, choose_principal, train
 from training.progress import progress
 from training.recipe import RECIPES
+from training.workers import workers
 
 
 def main(argv: list[str]) -> int:
@@ -37,30 +42,51 @@ def main(argv: list[str]) -> int:
         raise MarkerbridgeError(f"cannot write {options.out}: no such folder")
     errors = Console(stderr=True)
 
+    left_out: list[str] = []
+
     def warn(text: str) -> None:
+        left_out.append(text)
         errors.print(text, style="yellow", markup=False, highlight=False, soft_wrap=True)
 
     recipe = RECIPES[options.estimator]
     if options.history is not None:
         recipe = replace(recipe, history=options.history)
-    takes = load_training(options.data, warn)
-    tests = load(options.data, TEST, warn) if TEST in manifest_splits(options.data) else []
-    folds = leave_out(takes) if options.folds else []
+    captures = training_captures(options.data)
+    if not captures:
+        raise no_captures(options.data)
+    tests = captures_of(options.data, TEST) if TEST in manifest_splits(options.data) else []
+    folds = leave_out(captures) if options.folds else []
     if not folds:
         warn("no folds: the accuracy in the model file is that on its own training captures")
-    work = sum(len(take.xyz) for take in takes) + (len(folds) + 1) * FIT_WORK
+    work = work_of(options.data, captures) + (len(folds) + 1) * FIT_WORK
     # One thread for linear algebra: the matrices are small, and the sums do not depend on the
-    # machine's cores. The forest has threads of its own.
+    # machine's cores.
     with progress(errors, work) as advance, threadpool_limits(1):
-        segments = cut(takes, recipe, advance, warn)
-        principal = wish or choose_principal(segments, options.seed)
-        fitted = train(segments, tests, folds, principal, recipe, options.seed, advance)
-    used = fitted.info.training | {"data": digest(options.data, takes)}
+        with workers(None):
+            corpus = read_corpus(options.data, captures, recipe, advance, warn)
+        principal = wish or choose_principal(corpus, options.seed)
+        with workers(options.cluster, corpus):
+            fitted = train(
+                corpus,
+                options.data,
+                tests,
+                folds,
+                principal,
+                recipe,
+                options.seed,
+                advance,
+                warn,
+            )
+    used = fitted.info.training | {"data": digest(options.data, corpus.captures)}
     info = replace(fitted.info, training=used)
     content = to_onnx(fitted.graph, info)
-    record = _record(argv, info, len(content), time.monotonic() - start)
+    command_line = "markerbridge train " + " ".join(_without_paths(argv))
+    record = _record(command_line, info, len(content), time.monotonic() - start)
     _write(options.out, content)
     _write(options.out.with_suffix(".json"), record.encode())
+    if options.report is not None:
+        page = _report(options.report, command_line, corpus, fitted.leaves, info, left_out)
+        errors.print(f"report: {page}", markup=False, highlight=False, soft_wrap=True)
     _summarise(errors, options.out, info, len(content))
     return 0
 
@@ -112,6 +138,18 @@ def _parser() -> argparse.ArgumentParser:
     add("--history", type=_history, metavar="H", help="frames of 1/120 s that the mixture spans")
     add("--seed", type=checked(seed), default=0, help="of all that is random (default: 0)")
     add(
+        "--report",
+        type=Path,
+        metavar="DIR",
+        help="writes a page there on the data, their segments and clusters, beside the paper's",
+    )
+    add(
+        "--cluster",
+        metavar="tcp://HOST:PORT",
+        help="a Dask scheduler whose workers do the folds and the forest; they need this program "
+        "and DATA at the same path",
+    )
+    add(
         "--no-folds",
         dest="folds",
         action="store_false",
@@ -126,10 +164,10 @@ def _history(text: str) -> int:
     return int(text)
 
 
-def _record(argv: list[str], info: ModelInfo, size: int, seconds: float) -> str:
+def _record(command_line: str, info: ModelInfo, size: int, seconds: float) -> str:
     """What was done and what came of it, for a reader; names no path of this machine."""
     entry: dict[str, Any] = {
-        "command": "markerbridge train " + " ".join(_without_paths(argv)),
+        "command": command_line,
         "markers": {"principal": info.principal, "references": info.references},
         "accuracy": info.accuracy,
         "sigma_mm": {
@@ -141,6 +179,22 @@ def _record(argv: list[str], info: ModelInfo, size: int, seconds: float) -> str:
         "seconds": round(seconds),
     }
     return json.dumps(entry, indent=2, allow_nan=False) + "\n"
+
+
+def _report(
+    folder: Path,
+    command_line: str,
+    corpus: Corpus,
+    leaves: Leaves,
+    info: ModelInfo,
+    left_out: Sequence[str],
+) -> Path:
+    from training.report.page import Report  # matplotlib takes a second to load
+    from training.report.training import add_training
+
+    report = Report(folder, command_line)
+    add_training(report, corpus, leaves, info, left_out)
+    return report.write()
 
 
 def _without_paths(argv: list[str]) -> list[str]:

@@ -7,6 +7,7 @@ import shutil
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from bridge.model import ModelInfo
 from drivers.marker_set import MARKERS
@@ -20,6 +21,13 @@ SMALL = {
     "virtual/walking_t1.c3d": "train",
     "real/07_12.c3d": "test",
 }
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _single_thread():
+    """As the commands do: the matrices are small, and threads wait for each other."""
+    with threadpool_limits(1):
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from training.local_models import Moments, affine, least_squares, ridge, shrunk
+from training.local_models import NormalEquations, affine, least_squares, ridge, shrunk
 
 
 @pytest.fixture
@@ -15,19 +15,19 @@ def frames():
 def test_plain_map_is_least_squares(frames):
     x, z = frames
     expected = np.linalg.lstsq(x, z)[0].T
-    np.testing.assert_allclose(least_squares(Moments.of(x, z)), expected, atol=1e-9)
+    np.testing.assert_allclose(least_squares(NormalEquations.of(x, z)), expected, atol=1e-9)
 
 
 def test_plain_map_is_the_formula_of_the_paper(frames):
     x, z = (part.T for part in frames)
     expected = z @ x.T @ np.linalg.inv(x @ x.T)
-    np.testing.assert_allclose(least_squares(Moments.of(x.T, z.T)), expected, atol=1e-9)
+    np.testing.assert_allclose(least_squares(NormalEquations.of(x.T, z.T)), expected, atol=1e-9)
 
 
 def test_affine_map_without_ridge_is_least_squares_with_a_constant(frames):
     x, z = frames
     expected = np.linalg.lstsq(np.hstack([x, np.ones((500, 1))]), z)[0].T
-    np.testing.assert_allclose(ridge(Moments.of(affine(x), z), 0.0), expected, atol=1e-9)
+    np.testing.assert_allclose(ridge(NormalEquations.of(affine(x), z), 0.0), expected, atol=1e-9)
 
 
 def test_ridge_is_least_squares_on_noisy_inputs(frames):
@@ -37,13 +37,13 @@ def test_ridge_is_least_squares_on_noisy_inputs(frames):
     many = np.tile(x, (400, 1))
     noisy = many + random.normal(scale=0.5, size=many.shape)
     expected = np.linalg.lstsq(affine(noisy), np.tile(z, (400, 1)))[0].T
-    np.testing.assert_allclose(ridge(Moments.of(affine(x), z), 0.5), expected, atol=0.02)
+    np.testing.assert_allclose(ridge(NormalEquations.of(affine(x), z), 0.5), expected, atol=0.02)
 
 
 def test_moments_add_up(frames):
     x, z = frames
-    whole = Moments.of(x, z)
-    parts = Moments.of(x[:200], z[:200]) + Moments.of(x[200:], z[200:])
+    whole = NormalEquations.of(x, z)
+    parts = NormalEquations.of(x[:200], z[:200]) + NormalEquations.of(x[200:], z[200:])
     np.testing.assert_allclose(parts.xx, whole.xx)
     np.testing.assert_allclose(parts.zx, whole.zx)
     assert parts.weight == whole.weight == 500
@@ -51,9 +51,9 @@ def test_moments_add_up(frames):
 
 def test_a_leaf_follows_the_global_map_where_it_has_seen_nothing(frames):
     x, z = frames
-    everything = Moments.of(affine(x), z)
+    everything = NormalEquations.of(affine(x), z)
     still = np.tile(x[:1], (50, 1))  # a leaf that never moves
-    leaf = Moments.of(affine(still), np.tile(z[:1] + 1.0, (50, 1)))
+    leaf = NormalEquations.of(affine(still), np.tile(z[:1] + 1.0, (50, 1)))
     found = shrunk(leaf, everything, share=1e-4, noise=0.0)
     overall = ridge(everything, 0.0)
     np.testing.assert_allclose(affine(still[:1]) @ found.T, z[:1] + 1.0, atol=1e-2)
@@ -65,8 +65,8 @@ def test_a_leaf_follows_the_global_map_where_it_has_seen_nothing(frames):
 
 def test_shrinking_fades_with_its_share(frames):
     x, z = frames
-    everything = Moments.of(affine(x), z)
-    own = Moments.of(affine(x[:100]), -z[:100])
+    everything = NormalEquations.of(affine(x), z)
+    own = NormalEquations.of(affine(x[:100]), -z[:100])
     alone, overall = ridge(own, 0.0), ridge(everything, 0.0)
     apart = [
         np.linalg.norm(shrunk(own, everything, share, 0.0) - overall) for share in (0.01, 1.0, 100)

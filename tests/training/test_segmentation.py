@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
-from sklearn.decomposition import PCA
 
+from training.dataset import captures, read_take
 from training.poses import body_poses
-from training.segmentation import Segmentation, _Moments
+from training.segmentation import Segmentation
 
 RATE = 120.0
 
@@ -55,32 +55,42 @@ def test_cuts_are_in_seconds_not_frames():
     assert 2 * slow[1].start == pytest.approx(fast[1].start, abs=40)
 
 
-def test_real_captures_glued_together_are_cut_at_the_seam(train_takes):
-    takes = {take.name: take for take in train_takes}
-    walk = body_poses(takes["real/07_01.c3d"].xyz)
-    punch = body_poses(takes["real/02_05.c3d"].xyz)[:600]
-    both = np.concatenate([walk, punch])
-    starts = [part.start for part in Segmentation().cut(both.reshape(len(both), -1), RATE)]
-    assert min(abs(start - len(walk)) for start in starts) <= 30
-    assert len(Segmentation().cut(walk.reshape(len(walk), -1), RATE)) == 1
+# Each of one behaviour, and no two of the same.
+BEHAVIOURS = {
+    "walk": "real/07_01.c3d",
+    "punch": "real/02_05.c3d",
+    "jump": "virtual/jumping_3.c3d",
+    "long walk": "virtual/walking_20.c3d",
+    "signals": "virtual/basketball_signal_1.c3d",
+    "run": "virtual/running_3.c3d",
+}
+LONGEST = 500  # frames of each that are glued
+NEAR = 60  # frames: 0.5 s
 
 
-def test_moments_of_any_run_are_those_of_its_frames():
-    poses = np.random.default_rng(2).normal(size=(105, 4))
-    mean, second = _Moments(poses, 10).between(3, 7)
-    np.testing.assert_allclose(mean, poses[30:70].mean(axis=0))
-    np.testing.assert_allclose(second, poses[30:70].T @ poses[30:70] / 40)
+@pytest.fixture(scope="module")
+def behaviours(data_dir):
+    found = {}
+    by_name = {capture.name: capture for capture in captures(data_dir)}
+    for behaviour, name in BEHAVIOURS.items():
+        poses = body_poses(read_take(data_dir, by_name[name]).xyz)[:LONGEST]
+        found[behaviour] = poses.reshape(len(poses), -1)
+    return found
 
 
-def test_the_distance_is_that_of_scikit_learns_probabilistic_pca():
-    random = np.random.default_rng(3)
-    axes = np.linalg.qr(random.normal(size=(12, 12)))[0][:3]
-    seen, ahead = (behaviour(random, 400, axes, 0.5) for _ in range(2))
-    segmentation = Segmentation(floor=0.0)
-    fitted, coming = (_Moments(part, 1).between(0, 400) for part in (seen, ahead))
-    model = PCA(n_components=0.95, svd_solver="full").fit(seen)
-    # scikit-learn divides by N - 1 where the segmentation divides by N.
-    precision = model.get_precision() * 400 / 399
-    away = ahead - seen.mean(axis=0)
-    expected = np.einsum("ni,ij,nj->n", away, precision, away).mean() / 12
-    assert segmentation.distance(fitted, coming) == pytest.approx(expected, rel=1e-6)
+def cuts(poses):
+    return [part.start for part in Segmentation().cut(poses, RATE)][1:]
+
+
+@pytest.mark.parametrize("first", ["walk", "punch", "jump", "long walk", "signals"])
+def test_captures_glued_together_are_cut_at_the_seam_alone(behaviours, first):
+    for second in BEHAVIOURS.keys() - {first, "long walk" if first == "walk" else "walk"}:
+        glued = np.concatenate([behaviours[first], behaviours[second]])
+        found = cuts(glued)
+        assert len(found) == 1, (first, second, found)
+        assert abs(found[0] - len(behaviours[first])) <= NEAR, (first, second, found)
+
+
+@pytest.mark.parametrize("behaviour", BEHAVIOURS)
+def test_no_cut_inside_a_single_behaviour(behaviours, behaviour):
+    assert cuts(behaviours[behaviour]) == []

@@ -10,6 +10,7 @@ from bridge.model import Model
 from drivers.c3d_file import read_c3d, write_c3d
 from drivers.errors import MarkerbridgeError, UsageError
 from tests.training.conftest import PAPER_SIX
+from training.dataset import Capture, training_captures
 from training.folds import leave_out
 from training.train_command import main
 
@@ -37,6 +38,8 @@ def test_the_model_file_says_what_it_is(trained, small_dir):
     assert info.training["leaves"] == Model(trained[0]).leaves
     assert set(info.training["versions"]) == {"markerbridge", "numpy", "onnx", "scikit-learn"}
     assert len(info.training["data"]) == 64
+    assert info.training["performers"] == ["02", "07", "16"]
+    assert 0 <= info.training["forest_error"]["frames"] < info.training["forest_error"]["segments"]
     assert set(info.accuracy["folds"]["left_out"]) == {"02", "07", "16"}
     assert info.accuracy["test"]["rms_mm"] > 10
 
@@ -93,7 +96,7 @@ def test_without_manifest_it_chooses_markers_and_leaves_files_out(small_dir, tmp
     assert main([str(small_dir / "real"), "--out", str(out)]) == 0
     info = Model(out).info
     assert info.training["sequences"] == 4  # of a folder without splits, all
-    assert len(info.accuracy["folds"]["left_out"]) == 4
+    assert set(info.accuracy["folds"]["left_out"]) == {"02", "07", "16"}  # by the files' names
     assert info.accuracy["test"] is None
     assert 3 <= len(info.principal) <= 10
     assert not set(info.principal) & set(info.references)
@@ -115,8 +118,8 @@ def test_captures_without_whole_poses_are_left_out_by_name(small_dir, tmp_path, 
     assert Model(out).info.training["sequences"] == 1
 
 
-def test_a_fold_drops_all_that_is_known_of_its_performer(train_takes):
-    takes = train_takes
+def test_a_fold_drops_all_that_is_known_of_its_performer(data_dir):
+    takes = training_captures(data_dir)
     by_name = {take.name: take for take in takes}
     folds = {fold.name: fold for fold in leave_out(takes)}
     assert set(folds) == {"01", "02", "07", "135", "16", "85", "bd", "mm"}
@@ -127,9 +130,8 @@ def test_a_fold_drops_all_that_is_known_of_its_performer(train_takes):
     assert any(not by_name[name].real for name in folds["02"].dropped)
 
 
-def test_many_performers_share_folds(train_takes):
-    take = train_takes[0]
-    many = [type(take)(f"{n}.c3d", f"p{n % 20}", "", "", True, 120.0, take.xyz) for n in range(40)]
+def test_many_performers_share_folds():
+    many = [Capture(f"{n}.c3d", f"p{n % 20}", "", "", real=True) for n in range(40)]
     folds = leave_out(many)
     assert len(folds) == 8
     names = [name for fold in folds for name in fold.dropped]
@@ -189,7 +191,7 @@ sys.exit(main(["train", ".", "--out", "m.onnx"]))
 """
 
 
-@pytest.mark.parametrize("missing", ["sklearn", "onnx", "threadpoolctl"])
+@pytest.mark.parametrize("missing", ["sklearn", "onnx", "threadpoolctl", "joblib"])
 def test_without_the_training_libraries_it_says_what_to_install(missing):
     code = WITHOUT.format(missing=missing)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

@@ -1,0 +1,67 @@
+"""Training on a real Dask scheduler with two workers gives what this machine gives."""
+
+import os
+import subprocess
+import sys
+from contextlib import ExitStack
+
+import pytest
+from distributed import Client
+from joblib import Parallel, delayed
+
+from bridge.cli import main
+from drivers.errors import MarkerbridgeError
+from tests.training.conftest import PAPER_SIX
+from training.workers import workers
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory):
+    """Address of a scheduler with two workers, each a process of its own."""
+    folder = tmp_path_factory.mktemp("dask")
+    where = folder / "scheduler.json"
+    found = ["--scheduler-file", str(where)]
+    commands = [
+        ("dask_scheduler", "--host", "tcp://127.0.0.1", "--port", "0", "--no-dashboard"),
+        *[("dask_worker", "--nthreads", "1", "--no-nanny", "--no-dashboard")] * 2,
+    ]
+    with ExitStack() as stack:
+        for name, *options in commands:
+            process = stack.enter_context(
+                subprocess.Popen(
+                    [sys.executable, "-m", f"distributed.cli.{name}", *options, *found],
+                    cwd=folder,
+                    stdout=subprocess.DEVNULL,
+                    stderr=subprocess.DEVNULL,
+                )
+            )
+            stack.callback(process.terminate)
+        with Client(scheduler_file=str(where), timeout=60, set_as_default=False) as client:
+            client.wait_for_workers(2, timeout=60)
+            address = client.scheduler.address
+        yield address
+
+
+def test_work_is_done_by_the_workers(cluster):
+    with workers(cluster):
+        processes = set(Parallel()(delayed(os.getpid)() for _ in range(20)))
+    assert os.getpid() not in processes
+    assert 1 <= len(processes) <= 2
+
+
+def test_a_model_trained_on_the_cluster_is_the_same_to_the_byte(cluster, small_dir, tmp_path):
+    files = []
+    for name, options in (("here", []), ("there", ["--cluster", cluster])):
+        out = tmp_path / f"{name}.onnx"
+        argv = ["train", str(small_dir), "--out", str(out), "--principal", PAPER_SIX]
+        assert main([*argv, *options]) == 0
+        files.append(out.read_bytes())
+    assert files[0] == files[1]
+
+
+def test_a_scheduler_that_is_not_there_is_a_clear_error(monkeypatch):
+    monkeypatch.setattr("training.workers.CONNECT", 1)
+    with pytest.raises(MarkerbridgeError, match="no Dask scheduler answers"):
+        workers("tcp://127.0.0.1:9").__enter__()
+    with pytest.raises(MarkerbridgeError, match="no Dask scheduler answers"):
+        workers("nonsense").__enter__()

@@ -1,0 +1,93 @@
+import shutil
+
+import numpy as np
+import pytest
+
+from drivers.c3d_file import read_c3d, write_c3d
+from drivers.errors import MarkerbridgeError
+from training.corpus import read_corpus, work_of
+from training.dataset import captures, load_training, training_captures
+from training.moments import moments_of
+from training.poses import body_poses
+from training.recipe import RECIPES, Recipe
+from training.workers import workers
+
+RECIPE = RECIPES["local"]
+
+
+def read(folder, recipe=RECIPE, warn=pytest.fail):
+    done = []
+    with workers(None):
+        corpus = read_corpus(
+            folder, training_captures(folder), recipe, lambda _, units: done.append(units), warn
+        )
+    assert sum(done) == pytest.approx(work_of(folder, training_captures(folder)))
+    return corpus
+
+
+@pytest.fixture(scope="module")
+def corpus(small_dir):
+    return read(small_dir)
+
+
+def test_it_holds_every_segment_of_every_capture(corpus, small_dir):
+    takes = load_training(small_dir, pytest.fail)
+    assert [one.name for one in corpus.captures] == [take.name for take in takes]
+    assert corpus.frames_read.tolist() == [len(take.xyz) for take in takes]
+    row = 0
+    for number, take in enumerate(takes):
+        poses = body_poses(take.xyz)
+        assert corpus.frames_used[number] == len(poses)
+        for part in RECIPE.segmentation.cut(poses.reshape(len(poses), -1), take.rate):
+            assert corpus.capture[row] == number
+            assert corpus.start[row] == part.start
+            assert corpus.frames[row] == part.stop - part.start
+            assert corpus.seconds[row] == corpus.frames[row] / take.rate
+            np.testing.assert_array_equal(corpus.moments[row], moments_of(poses[part]))
+            np.testing.assert_array_equal(corpus.poses[corpus.segment == row], poses[part][::4])
+            row += 1
+    assert row == len(corpus.frames) == len(corpus.moments)
+
+
+def test_poses_are_kept_within_the_limit_from_all_segments(small_dir, corpus):
+    few = read(small_dir, Recipe(plain=False, mirror=True, forest=RECIPE.forest, forest_rows=100))
+    assert 40 < len(few.poses) < 110  # by the files' size, which may hold more than 41 markers
+    assert set(few.segment) == set(range(len(few.frames)))
+    np.testing.assert_array_equal(few.moments, corpus.moments)
+
+
+def test_the_order_of_work_changes_nothing(small_dir, corpus):
+    again = read_corpus(  # without workers: one after the other
+        small_dir, training_captures(small_dir), RECIPE, lambda *_: None, pytest.fail
+    )
+    np.testing.assert_array_equal(again.moments, corpus.moments)
+    np.testing.assert_array_equal(again.poses, corpus.poses)
+
+
+def test_segments_without_some_captures(corpus):
+    rest = corpus.without(frozenset({"real/02_01.c3d", "no such file"}))
+    names = {corpus.captures[row].name for row in corpus.capture[rest]}
+    assert names == {one.name for one in corpus.captures} - {"real/02_01.c3d"}
+    assert len(corpus.without(frozenset(one.name for one in corpus.captures))) == 0
+
+
+def test_what_cannot_be_used_is_told_and_left_out(small_dir, tmp_path):
+    whole = read_c3d(small_dir / "real/02_01.c3d")
+    shutil.copy(small_dir / "real/02_01.c3d", tmp_path / "02_01.c3d")
+    (tmp_path / "text.c3d").write_text("no capture")
+    blind = whole.xyz.copy()
+    blind[5:, 3] = np.nan
+    write_c3d(tmp_path / "blind.c3d", whole.layout, blind)
+    told = []
+    corpus = read(tmp_path, warn=told.append)
+    assert [one.name for one in corpus.captures] == ["02_01.c3d"]
+    assert [one.subject for one in captures(tmp_path)] == ["02", "unknown", "unknown"]
+    assert len(told) == 2
+    assert "blind.c3d: fewer than 10 frames" in told[0]
+    assert "text.c3d" in told[1]
+
+
+def test_nothing_to_train_on_is_an_error(tmp_path):
+    (tmp_path / "text.c3d").write_text("no capture")
+    with pytest.raises(MarkerbridgeError, match="no capture has enough frames"):
+        read(tmp_path, warn=lambda _: None)

@@ -1,0 +1,64 @@
+"""Where parallel work is done: on the cores of this machine, or on a Dask cluster.
+
+Inside `workers`, joblib's `Parallel` (and with it scikit-learn's forests) uses what was chosen.
+A task must give the same answer wherever it runs: it is seeded, and its linear algebra has one
+thread (`single_threaded`), since sums depend on how they are split.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import wraps
+from typing import ParamSpec, TypeVar
+
+from joblib import parallel_config
+from threadpoolctl import threadpool_limits
+
+from drivers.errors import MarkerbridgeError
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+CONNECT = 10  # s to wait for the scheduler
+
+
+@contextmanager
+def workers(cluster: str | None, *shared: object, processes: bool = False) -> Iterator[None]:
+    """All cores of this machine, or the workers of the Dask scheduler at `cluster`.
+
+    shared: large arguments that many tasks take; each worker is sent them once. processes: on this
+    machine, for work that threads would do one after the other. Raises MarkerbridgeError where the
+    scheduler does not answer or has no workers.
+    """
+    if cluster is None:
+        with parallel_config(backend="loky" if processes else "threading", n_jobs=-1):
+            yield
+        return
+    from distributed import Client
+
+    try:
+        client = Client(cluster, timeout=CONNECT, set_as_default=False)  # type: ignore[no-untyped-call]
+    except (OSError, ValueError) as error:
+        raise MarkerbridgeError(
+            f"--cluster {cluster}: no Dask scheduler answers there ({error})"
+        ) from error
+    with client:
+        if not client.scheduler_info()["workers"]:
+            raise MarkerbridgeError(
+                f"--cluster {cluster}: the scheduler has no workers: start some with "
+                f"`dask worker {cluster}`"
+            )
+        with parallel_config(backend="dask", n_jobs=-1, client=client, scatter=list(shared)):
+            yield
+
+
+def single_threaded(work: Callable[P, T]) -> Callable[P, T]:
+    """`work` with one thread for linear algebra, and no workers of its own."""
+
+    @wraps(work)
+    def limited(*args: P.args, **kwargs: P.kwargs) -> T:
+        with threadpool_limits(1), parallel_config(backend="sequential"):
+            return work(*args, **kwargs)
+
+    return limited
