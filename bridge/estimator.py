@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bridge.body_frame import BodyFrame
-from bridge.imputation import PATTERNS, ConditionalGaussian, Imputer
+from bridge.imputation import PATTERNS, ConditionalGaussian, Imputation, Imputer
 from bridge.model import Model, ModelInfo
 from bridge.pose import Pose, Provenance
 from drivers.frame import Floats, Layout, MarkerFrame
@@ -31,18 +31,28 @@ class PoseEstimator:
 
     It never reads a clock, and uses the tracked markers alone: what else a stream carries is
     ignored, so the same person moves the same whatever else the device sends.
+
+    history: frames of 1/120 s before the present one that the mixture weighs in; the model's own
+    where not given. leaf_weights: (K,) float32, those of the last frame with a marker in it; zeros
+    before the first. imputation: what fills in missing markers; `Imputer` where not given.
     """
 
-    def __init__(self, model: Model) -> None:
+    def __init__(
+        self,
+        model: Model,
+        history: int | None = None,
+        imputation: Imputation | None = None,
+    ) -> None:
         info = model.info
         self.model = model
+        self.history = info.history if history is None else history
         self._tracked = info.tracked
         self._features = np.array([info.tracked.index(label) for label in info.features])
         self._out_tracked = np.array([info.labels.index(label) for label in info.tracked])
         self._out_unworn = np.array([info.labels.index(label) for label in info.unworn])
         self._body = body_frame(info)
         self._gaussian = ConditionalGaussian(info.mean, info.covariance)
-        self._imputer = Imputer(self._gaussian)
+        self._imputer = imputation or Imputer(self._gaussian)
         self._sigma = np.array(info.sigma)
         self._sensitivity = np.array(info.sensitivity)
         self._sigma_cache: dict[bytes, tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]] = {}
@@ -55,6 +65,7 @@ class PoseEstimator:
         self._imputer.reset()
         self._history: Floats = np.zeros((0, self.model.leaves), np.float32)
         self._oldest = 0
+        self.leaf_weights: Floats = np.zeros(self.model.leaves, np.float32)
         self._layout = None
         self._last: Floats = np.full((len(self.model.info.labels), 3), np.nan, np.float32)
 
@@ -81,6 +92,7 @@ class PoseEstimator:
             1.0 / frame.layout.rate,
         )
         z, p = self.model.run(features.reshape(1, -1)[:, : self.model.width], self._history)
+        self.leaf_weights = p[0]
         if len(self._history):
             self._history[self._oldest] = p[0]
             self._oldest = (self._oldest + 1) % len(self._history)
@@ -102,7 +114,7 @@ class PoseEstimator:
         self._carried = np.array([label in rows for label in self._tracked])
         self._rows = np.array([rows[label] for label in self._tracked if label in rows], int)
         if self._layout is None or layout.rate != self._layout.rate:
-            length = max(0, round(self.model.info.history * layout.rate / 120.0))
+            length = max(0, round(self.history * layout.rate / 120.0))
             self._history = np.zeros((length, self.model.leaves), np.float32)
             self._oldest = 0
         self._layout = layout

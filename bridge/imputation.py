@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -69,8 +70,21 @@ class ConditionalGaussian:
         return self._cache[key]
 
 
+class Imputation(Protocol):
+    """A way to fill in missing markers, frame after frame."""
+
+    def reset(self) -> None:
+        """Forgets the past: a new performer or sequence."""
+
+    def fill(self, xyz: Floats, present: npt.NDArray[np.bool_], interval: float) -> Floats:
+        """The next frame's markers (F, 3), in the body frame, with the missing ones filled in.
+
+        present: (F,); interval: seconds since the frame before.
+        """
+
+
 class Imputer:
-    """Fills in missing markers frame after frame.
+    """What the bridge does, an `Imputation`.
 
     The conditional mean does not know where a marker was a moment ago, so a marker that goes
     missing would jump there. What the mean was off by when the pattern of missing markers changed
@@ -88,10 +102,7 @@ class Imputer:
         self._offset: Floats | None = None
 
     def fill(self, xyz: Floats, present: npt.NDArray[np.bool_], interval: float) -> Floats:
-        """The next frame's markers (F, 3), in the body frame, with the missing ones filled in.
-
-        present: (F,); interval: seconds since the frame before.
-        """
+        """The next frame's markers, filled in."""
         filled = self._gaussian.fill(xyz, present)
         if not present.all() and self._last is not None:
             if self._offset is None or present.tobytes() != self._present:

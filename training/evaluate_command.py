@@ -15,16 +15,19 @@ from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
+from bridge.estimator import PoseEstimator
 from bridge.model import Model
 from drivers.errors import MarkerbridgeError, UsageError
 from drivers.options import checked, parse_seconds
 from simulators.fault_options import add_fault_options, faults_of
-from training.dataset import DatasetError, Take, load, load_training
-from training.evaluation import evaluate, report
+from training.dataset import DatasetError, Take, Warn, load, load_training
+from training.evaluation import Result, evaluate, report, score
 from training.hiding import evaluate_hidden, parse_hiding
+from training.missing_study import EXPERIMENTS, METHODS, STEPS, TITLES, missing_study
 from training.nearest_neighbour import NearestNeighbour
 from training.poses import body_poses
 from training.progress import progress
+from training.telling import command_line, left_out
 
 _COLUMNS = (
     ("rms_mm", "RMS mm", ".1f"),
@@ -44,8 +47,10 @@ def main(argv: list[str]) -> int:
     """Runs the command. Raises MarkerbridgeError."""
     options = _parser().parse_args(argv)
     errors = Console(stderr=True)
+    warnings: list[str] = []
 
     def warn(text: str) -> None:
+        warnings.append(text)
         errors.print(text, style="yellow", markup=False, highlight=False, soft_wrap=True)
 
     model = Model(options.model)
@@ -54,14 +59,72 @@ def main(argv: list[str]) -> int:
         raise UsageError(f"--hide: {options.hide.marker} is not tracked ({known} are)")
     if options.json is not None and not options.json.parent.is_dir():
         raise MarkerbridgeError(f"cannot write {options.json}: no such folder")
+    if options.report is not None:
+        # At once, and not after all the work: the folder, and the libraries that it takes.
+        from training.report.page import make_folder
+
+        make_folder(options.report)
+    elif options.show:
+        raise UsageError("--show chooses what a report draws: it needs --report DIR")
+    if options.missing_study and options.train is None:
+        raise UsageError("--missing-study compares with training poses: it needs --train DATA")
     takes = load(options.data, options.split, warn)
-    baseline = None
+    _check_shown(options.show, takes)
+    baseline = poses = None
     if options.train is not None:
-        poses = [body_poses(take.xyz) for take in load_training(options.train, warn)]
-        if not any(map(len, poses)):
+        parts = [body_poses(take.xyz) for take in load_training(options.train, warn)]
+        poses = np.concatenate(parts)
+        if not len(poses):
             raise DatasetError(f"{options.train}: no frame has all 41 markers")
-        baseline = NearestNeighbour(np.concatenate(poses), model.info)
-    results = []
+        baseline = NearestNeighbour(poses, model.info)
+    faults = faults_of(options)
+    results, plain = _scored(model, takes, baseline, options, errors, warn)
+    found = report(results, model.info)
+    if options.hide:
+        hidden = evaluate_hidden(model, takes, options.hide, faults, options.seed)
+        found["hidden"] = hidden.to_json()
+    missing = []
+    if options.missing_study and poses is not None:
+        with progress(errors, STEPS) as advance:
+            missing = missing_study(model, takes, poses, options.seed, advance)
+        found["missing_study"] = [one.to_json() for one in missing]
+    _print(found)
+    if options.json is not None:
+        _write_json(options.json, found)
+    if options.report is not None:
+        from training.report.evaluation import Run, default_shown, evaluation_report
+        from training.report.missing import add_missing
+
+        run = Run(
+            model=_name(Path(options.model)),
+            info=model.info,
+            leaves=model.leaves,
+            data=_name(options.data),
+            train=None if options.train is None else _name(options.train),
+            command=command_line("evaluate", argv),
+            results=results,
+            plain=plain,
+            shown=options.show or default_shown(results),
+            left_out=left_out(warnings, (options.data, options.train)),
+        )
+        written = evaluation_report(options.report, run, found)
+        if missing:
+            add_missing(written, missing)
+        page = written.write()
+        Console().print(f"report: {page}", markup=False, highlight=False, soft_wrap=True)
+    return 0
+
+
+def _scored(
+    model: Model,
+    takes: Sequence[Take],
+    baseline: NearestNeighbour | None,
+    options: argparse.Namespace,
+    errors: Console,
+    warn: Warn,
+) -> tuple[list[Result], list[Result]]:
+    """The results of all takes; and for a report, those without the mixture over frames before."""
+    results, plain = [], []
     faults = faults_of(options)
     with progress(errors, sum(len(take.xyz) for take in takes)) as advance:
         for take in takes:
@@ -70,19 +133,22 @@ def main(argv: list[str]) -> int:
                 if options.calibrate:
                     scored, adapted = _calibrated_on_its_start(model, take, options.calibrate)
                 results += evaluate(adapted, [scored], faults, options.seed, baseline)
+                if options.report is not None:
+                    unmixed = PoseEstimator(adapted, history=0)
+                    plain += score(unmixed, [scored], faults, options.seed)
             except DatasetError as error:
                 warn(f"left out: {take.name}: {error}")
             advance(take.name, len(take.xyz))
     if not results:
         raise DatasetError(f"{options.data}: no capture is long enough to calibrate on")
-    found = report(results, model.info.unworn)
-    if options.hide:
-        hidden = evaluate_hidden(model, takes, options.hide, faults, options.seed)
-        found["hidden"] = hidden.to_json()
-    _print(found)
-    if options.json is not None:
-        _write_json(options.json, found)
-    return 0
+    return results, plain
+
+
+def _check_shown(names: Sequence[str], takes: Sequence[Take]) -> None:
+    known = [take.name for take in takes]
+    for name in names:
+        if name not in known:
+            raise UsageError(f"--show: no {name} among the captures ({', '.join(known)})")
 
 
 def _calibrated_on_its_start(model: Model, take: Take, longest: float) -> tuple[Take, Model]:
@@ -130,6 +196,19 @@ def _parser() -> argparse.ArgumentParser:
         metavar="M@1s",
         help="the error of tracked marker M after it has been hidden for so long",
     )
+    add(
+        "--missing-study",
+        action="store_true",
+        help="errors against how much is missing, for each way of filling it in (minutes)",
+    )
+    add("--report", type=Path, metavar="DIR", help="writes a page with tables and plots there")
+    add(
+        "--show",
+        type=lambda text: text.split(","),
+        default=[],
+        metavar="FILE,FILE",
+        help="the captures that the report draws frame by frame",
+    )
     add("--json", type=Path, metavar="FILE", help="writes the figures there as well")
     return parser
 
@@ -157,6 +236,8 @@ def _print(found: dict[str, Any]) -> None:
     hidden = found.get("hidden")
     if hidden:
         _print_hidden(console, hidden)
+    if "missing_study" in found:
+        _print_missing(console, found["missing_study"])
     latency = found["latency_us"]
     if latency["p50"] is not None:
         console.print(
@@ -177,9 +258,34 @@ def _print_hidden(console: Console, hidden: dict[str, Any]) -> None:
         )
 
 
+def _print_missing(console: Console, scores: Sequence[dict[str, Any]]) -> None:
+    table = Table(box=SIMPLE, pad_edge=False, title="RMS mm (jerk mm) with tracked markers missing")
+    table.add_column("what is missing")
+    for title in ("", *METHODS):
+        table.add_column(title, justify="right", no_wrap=True)
+    for experiment, values in EXPERIMENTS.items():
+        for value in values:
+            cells = [
+                f"{_cell(one['rms_mm'], '.1f')} ({_cell(one['jerk_mm'], '.2f')})"
+                for one in scores
+                if (one["experiment"], one["value"]) == (experiment, value)
+            ]
+            table.add_row(TITLES[experiment] if value == values[0] else "", f"{value}", *cells)
+        table.add_section()
+    console.print(table)
+
+
 def _cells(row: dict[str, float | None]) -> Sequence[str]:
-    values = ((row[name], form) for name, _, form in _COLUMNS)
-    return ["-" if value is None else format(value, form) for value, form in values]
+    return [_cell(row[name], form) for name, _, form in _COLUMNS]
+
+
+def _cell(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
+
+
+def _name(path: Path) -> str:
+    """The last part of a path: what a report may tell of where things are."""
+    return path.resolve().name
 
 
 def _write_json(path: Path, found: dict[str, Any]) -> None:

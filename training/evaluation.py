@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import time
 import zlib
-from collections.abc import Sequence
+from collections import defaultdict
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -16,11 +17,26 @@ from bridge.model import Model, ModelInfo
 from drivers.frame import Floats, Layout, MarkerFrame
 from drivers.marker_set import MARKERS
 from simulators.corruption import Corruption, Faults
-from training.dataset import Take
-from training.metrics import jerk, mean_known, rms, roughness
+from training.dataset import UNKNOWN, Take
+from training.metrics import (
+    frame_rms,
+    mean_known,
+    rms,
+    roughness,
+    row_mean,
+    transitions,
+    velocity_error,
+)
+from training.motions import category
 from training.nearest_neighbour import NearestNeighbour
 
+# mm per 1/120 s: bounds of the bins that velocity errors are counted in; the last is open above.
+GAMMA_EDGES = np.arange(0.0, 101.0)
+
+Array = npt.NDArray[np.float64]
+
 _WARM = 10  # calls at the start of a sequence that its latency leaves out
+_RATE = 120.0  # Hz: what the model's history is counted in
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,18 +58,42 @@ class Scores:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Trace:
+    """One method, frame by frame (N,), over the unworn markers; NaN where nothing is to be scored.
+
+    rms: mm. jerk: the mean velocity error since the frame before, mm per 1/120 s.
+    """
+
+    rms: Array
+    jerk: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Result:
-    """One sequence's scores. squared_error: (U,) m², per unworn marker, mean over coordinates and
-    frames, NaN where the truth lacks it; within: (2, U), share of its coordinate errors within one
-    and two sigma; seconds: (N,), each warm call from frame to pose.
+    """One sequence's scores. subject, motion, rate (Hz): the capture's. squared_error: (U,) m²,
+    per unworn marker, mean over coordinates and frames, NaN where the truth lacks it; within:
+    (2, U), share of its coordinate errors within one and two sigma; seconds: (N,), each warm call
+    from frame to pose.
+
+    trace, nn_trace: of the estimate and of the baseline. transition: (N,), frames at a change of
+    leaf, or so shortly after it that the mixture still weighs in the frame before. gamma: (2, B),
+    the velocity errors of all unworn markers counted by GAMMA_EDGES, [1] of those frames, [0] of
+    the others.
     """
 
     file: str
+    subject: str
+    motion: str
+    rate: float
     frames: int
     scores: Scores
-    squared_error: npt.NDArray[np.float64]
-    within: npt.NDArray[np.float64]
-    seconds: npt.NDArray[np.float64]
+    squared_error: Array
+    within: Array
+    seconds: Array
+    trace: Trace
+    nn_trace: Trace | None
+    transition: npt.NDArray[np.bool_]
+    gamma: npt.NDArray[np.int64]
 
 
 def evaluate(
@@ -63,11 +103,22 @@ def evaluate(
     seed: int = 0,
     baseline: NearestNeighbour | None = None,
 ) -> list[Result]:
-    """Scores each take."""
-    estimator = PoseEstimator(model)
+    """Scores a model on each take."""
+    return score(PoseEstimator(model), takes, faults, seed, baseline)
+
+
+def score(
+    estimator: PoseEstimator,
+    takes: Sequence[Take],
+    faults: Faults | None = None,
+    seed: int = 0,
+    baseline: NearestNeighbour | None = None,
+) -> list[Result]:
+    """Scores an estimator on each take."""
+    info = estimator.model.info
     return [
-        _evaluate_one(
-            estimator, take, measured_markers(take, model.info, faults or Faults(), seed), baseline
+        _score_one(
+            estimator, take, measured_markers(take, info, faults or Faults(), seed), baseline
         )
         for take in takes
     ]
@@ -89,22 +140,65 @@ def mean_scores(results: Sequence[Result]) -> Scores:
     return Scores(**{name: _mean([row[name] for row in rows]) for name in rows[0]})
 
 
-def report(results: Sequence[Result], unworn: Sequence[str]) -> dict[str, Any]:
-    """The evaluation as JSON holds it; unworn: the labels of the markers scored."""
+def grouped(results: Sequence[Result], group: Callable[[Result], str]) -> dict[str, list[Result]]:
+    """The results by the group that each is in, groups with most sequences first."""
+    found = defaultdict(list)
+    for result in results:
+        found[group(result)].append(result)
+    return dict(sorted(found.items(), key=lambda entry: (-len(entry[1]), entry[0])))
+
+
+def motion_category(result: Result) -> str:
+    """What kind of motion a sequence shows."""
+    return category(result.motion)
+
+
+def familiarity(result: Result, info: ModelInfo) -> str:
+    """Whether the model was trained on other captures of this performer: seen, new or unknown."""
+    known = info.training.get("performers")
+    if known is None or result.subject == UNKNOWN:
+        return "unknown"
+    return "seen" if result.subject in known else "new"
+
+
+def report(results: Sequence[Result], info: ModelInfo) -> dict[str, Any]:
+    """The evaluation of a model as JSON holds it."""
     within = np.array([result.within for result in results])
     seconds = np.concatenate([result.seconds for result in results])
     latency = np.percentile(seconds * 1e6, [50, 99]) if len(seconds) else (None, None)
+
+    def groups(group: Callable[[Result], str]) -> dict[str, Any]:
+        return {
+            name: {
+                "sequences": len(part),
+                "frames": sum(result.frames for result in part),
+                **mean_scores(part).to_json(),
+            }
+            for name, part in grouped(results, group).items()
+        }
+
     return {
         "mean": mean_scores(results).to_json(),
+        "categories": groups(motion_category),
+        "performers": groups(lambda result: familiarity(result, info)),
         "sequences": [
-            {"file": result.file, "frames": result.frames, **result.scores.to_json()}
+            {
+                "file": result.file,
+                "subject": result.subject,
+                "motion": result.motion,
+                "category": motion_category(result),
+                "performer": familiarity(result, info),
+                "frames": result.frames,
+                **result.scores.to_json(),
+            }
             for result in results
         ],
         "sigma": {
             f"within_{n + 1}": {
                 "mean": mean_known(within[:, n]),
                 "markers": {
-                    label: mean_known(within[:, n, marker]) for marker, label in enumerate(unworn)
+                    label: mean_known(within[:, n, marker])
+                    for marker, label in enumerate(info.unworn)
                 },
             }
             for n in range(2)
@@ -116,52 +210,73 @@ def report(results: Sequence[Result], unworn: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def _evaluate_one(
+def _score_one(
     estimator: PoseEstimator, take: Take, measured: Floats, baseline: NearestNeighbour | None
 ) -> Result:
     """measured: (N, T, 3) metres, the tracked markers as they reach the estimator."""
     info = estimator.model.info
-    truth = take.xyz[:, [MARKERS.index(label) for label in info.labels]]
+    labels = [MARKERS.index(label) for label in info.labels]
     unworn = [info.labels.index(label) for label in info.unworn]
-    layout = Layout(info.tracked, take.rate)
-    estimate = np.empty_like(truth)
-    sigma = np.empty(truth.shape[:2], np.float32)
-    seconds = np.empty(len(truth))
+    estimate, sigma, leaves, seconds = _run(estimator, measured, take.rate)
+    truth = take.xyz[:, labels]
+    true, estimated = truth[:, unworn], estimate[:, unworn]
+    gamma = velocity_error(estimated, true, take.rate)
+    trace = Trace(frame_rms(estimated, true), row_mean(gamma))
+    nn_trace = nn_jerk = None
+    if baseline is not None:
+        nearest = _nearest(baseline, info, measured)
+        nn_gamma = velocity_error(nearest, true, take.rate)
+        nn_trace = Trace(frame_rms(nearest, true), row_mean(nn_gamma))
+        nn_jerk = mean_known(nn_gamma)
+    error: Array = (estimated.astype(float) - true.astype(float)) ** 2
+    variance = sigma[:, unworn, None].astype(float) ** 2
+    within = [np.where(np.isnan(error), np.nan, error <= n**2 * variance) for n in (1, 2)]
+    transition = transitions(leaves, round(estimator.history * take.rate / _RATE))
+    return Result(
+        file=take.name,
+        subject=take.subject,
+        motion=take.motion,
+        rate=take.rate,
+        frames=len(true),
+        scores=Scores(
+            rms_mm=mean_known(trace.rms),
+            rms_all_mm=rms(estimate, truth),
+            jerk_mm=mean_known(gamma),
+            roughness=roughness(estimated, true),
+            nn_rms_mm=None if nn_trace is None else mean_known(nn_trace.rms),
+            nn_jerk_mm=nn_jerk,
+        ),
+        squared_error=_marker_mean(error),
+        within=np.array([_marker_mean(share) for share in within]),
+        seconds=seconds[_WARM:],
+        trace=trace,
+        nn_trace=nn_trace,
+        transition=transition,
+        gamma=np.array([_counted(gamma[transition == at_change]) for at_change in (False, True)]),
+    )
+
+
+def _run(
+    estimator: PoseEstimator, measured: Floats, rate: float
+) -> tuple[Floats, Floats, npt.NDArray[np.intp], Array]:
+    """One sequence from its start: the poses (N, M, 3), their sigma (N, M), the leaf with most
+    votes (N,) and the seconds taken (N,), frame by frame.
+    """
+    info = estimator.model.info
+    layout = Layout(info.tracked, rate)
+    poses = np.empty((len(measured), len(info.labels), 3), np.float32)
+    sigma = np.empty(poses.shape[:2], np.float32)
+    leaves = np.empty(len(measured), np.intp)
+    seconds = np.empty(len(measured))
     estimator.reset()
     for index, xyz in enumerate(measured):
-        frame = MarkerFrame(index, index / take.rate, index / take.rate, layout, xyz)
+        frame = MarkerFrame(index, index / rate, index / rate, layout, xyz)
         start = time.perf_counter()
         pose = estimator.step(frame)
         seconds[index] = time.perf_counter() - start
-        estimate[index], sigma[index] = pose.xyz, pose.sigma
-    nearest = None if baseline is None else _nearest(baseline, info, measured)
-    error = (estimate[:, unworn].astype(float) - truth[:, unworn]) ** 2
-    there = ~np.isnan(error)
-    count = there.sum(axis=(0, 2))
-
-    def share(values: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
-        """Mean of (N, U, 3) over frames and coordinates, where the truth is there."""
-        total = np.where(there, values, 0.0).sum(axis=(0, 2))
-        blank = np.full(len(count), np.nan)
-        mean: npt.NDArray[np.float64] = np.divide(total, count, out=blank, where=count > 0)
-        return mean
-
-    variance = sigma[:, unworn, None].astype(float) ** 2
-    return Result(
-        file=take.name,
-        frames=len(truth),
-        scores=Scores(
-            rms_mm=rms(estimate[:, unworn], truth[:, unworn]),
-            rms_all_mm=rms(estimate, truth),
-            jerk_mm=jerk(estimate[:, unworn], truth[:, unworn], take.rate),
-            roughness=roughness(estimate[:, unworn], truth[:, unworn]),
-            nn_rms_mm=None if nearest is None else rms(nearest, truth[:, unworn]),
-            nn_jerk_mm=None if nearest is None else jerk(nearest, truth[:, unworn], take.rate),
-        ),
-        squared_error=share(error),
-        within=np.array([share((error <= n**2 * variance).astype(float)) for n in (1, 2)]),
-        seconds=seconds[_WARM:],
-    )
+        poses[index], sigma[index] = pose.xyz, pose.sigma
+        leaves[index] = estimator.leaf_weights.argmax()
+    return poses, sigma, leaves, seconds
 
 
 def _nearest(baseline: NearestNeighbour, info: ModelInfo, measured: Floats) -> Floats:
@@ -180,6 +295,17 @@ def _nearest(baseline: NearestNeighbour, info: ModelInfo, measured: Floats) -> F
     world = baseline.find(searched) @ rotations.transpose(0, 2, 1) + origins
     found: Floats = world.astype(np.float32)
     return found
+
+
+def _marker_mean(values: Array) -> Array:
+    """Per marker (U,) the mean of (N, U, 3) over frames and coordinates, NaN left out."""
+    return row_mean(values.transpose(1, 0, 2).reshape(values.shape[1], -1))
+
+
+def _counted(gamma: Array) -> npt.NDArray[np.int64]:
+    """How many velocity errors are in each bin of GAMMA_EDGES."""
+    capped = np.minimum(gamma[~np.isnan(gamma)], GAMMA_EDGES[-1])
+    return np.histogram(capped, GAMMA_EDGES)[0].astype(np.int64)
 
 
 def _ratio(value: float | None, base: float | None) -> float | None:

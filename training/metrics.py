@@ -18,12 +18,7 @@ _RATE = 120.0  # Hz: velocities are per frame of this rate
 
 def frame_rms(estimate: Floats, truth: Floats) -> Array:
     """Per frame (N,) the root of the mean squared distance over its markers, mm; NaN for none."""
-    squared = ((_MM * (estimate.astype(float) - truth)) ** 2).sum(axis=2)
-    there = ~np.isnan(squared)
-    count = there.sum(axis=1)
-    total = np.where(there, squared, 0.0).sum(axis=1)
-    mean: Array = np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)
-    return np.sqrt(mean)
+    return np.sqrt(row_mean(((_MM * (estimate.astype(float) - truth)) ** 2).sum(axis=2)))
 
 
 def rms(estimate: Floats, truth: Floats) -> float | None:
@@ -31,11 +26,21 @@ def rms(estimate: Floats, truth: Floats) -> float | None:
     return mean_known(frame_rms(estimate, truth))
 
 
+def velocity_error(estimate: Floats, truth: Floats, rate: float) -> Array:
+    """γ of the paper (3.4.2): the norm of the velocity's error, (N, M), mm per 1/120 s.
+
+    rate: Hz. Velocities are those since the frame before; NaN where either sample is missing, and
+    in the first frame.
+    """
+    error = estimate.astype(float) - truth
+    gamma: Array = np.full(error.shape[:2], np.nan)
+    gamma[1:] = np.linalg.norm(np.diff(error, axis=0), axis=2) * _MM * rate / _RATE
+    return gamma
+
+
 def jerk(estimate: Floats, truth: Floats, rate: float) -> float | None:
-    """Jerkiness (paper 3.4.2): mean norm of the velocity's error, mm per 1/120 s."""
-    error = np.diff(estimate.astype(float), axis=0) - np.diff(truth.astype(float), axis=0)
-    mean = mean_known(np.linalg.norm(error, axis=2))
-    return None if mean is None else mean * _MM * rate / _RATE
+    """Jerkiness: the mean of `velocity_error`."""
+    return mean_known(velocity_error(estimate, truth, rate))
 
 
 def roughness(estimate: Floats, truth: Floats) -> float | None:
@@ -47,6 +52,27 @@ def roughness(estimate: Floats, truth: Floats) -> float | None:
     if not true[both].any():
         return None
     return float(rough[both].mean() / true[both].mean())
+
+
+def transitions(leaves: npt.NDArray[np.integer], window: int) -> npt.NDArray[np.bool_]:
+    """Which of the frames (N,) are at a change of leaf (paper 3.4.2), or up to `window` after it.
+
+    leaves: (N,), the leaf with most votes in each frame.
+    """
+    changed = np.zeros(len(leaves), int)
+    changed[1:] = leaves[1:] != leaves[:-1]
+    before = np.concatenate([np.zeros(window + 1, int), np.cumsum(changed)])
+    at_change: npt.NDArray[np.bool_] = before[window + 1 :] > before[: len(leaves)]
+    return at_change
+
+
+def row_mean(values: Array) -> Array:
+    """Per row of (N, M) the mean of its values that are not NaN; NaN for none."""
+    there = ~np.isnan(values)
+    count = there.sum(axis=1)
+    total = np.where(there, values, 0.0).sum(axis=1)
+    mean: Array = np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)
+    return mean
 
 
 def mean_known(values: Array) -> float | None:

@@ -28,6 +28,7 @@ from training.folds import leave_out
 from training.pipeline import FIT_WORK, choose_principal, train
 from training.progress import progress
 from training.recipe import RECIPES
+from training.telling import command_line, left_out
 from training.workers import workers
 
 
@@ -42,12 +43,16 @@ def main(argv: list[str]) -> int:
         raise MarkerbridgeError(f"cannot write {options.out}: no such folder")
     errors = Console(stderr=True)
 
-    left_out: list[str] = []
+    warnings: list[str] = []
 
     def warn(text: str) -> None:
-        left_out.append(text)
+        warnings.append(text)
         errors.print(text, style="yellow", markup=False, highlight=False, soft_wrap=True)
 
+    if options.report is not None:
+        from training.report.page import make_folder
+
+        make_folder(options.report)  # an error at once, and not after all the work
     recipe = RECIPES[options.estimator]
     if options.history is not None:
         recipe = replace(recipe, history=options.history)
@@ -80,12 +85,12 @@ def main(argv: list[str]) -> int:
     used = fitted.info.training | {"data": digest(options.data, corpus.captures)}
     info = replace(fitted.info, training=used)
     content = to_onnx(fitted.graph, info)
-    command_line = "markerbridge train " + " ".join(_without_paths(argv))
-    record = _record(command_line, info, len(content), time.monotonic() - start)
+    told = command_line("train", argv)
+    record = _record(told, info, len(content), time.monotonic() - start)
     _write(options.out, content)
     _write(options.out.with_suffix(".json"), record.encode())
     if options.report is not None:
-        page = _report(options.report, command_line, corpus, fitted.leaves, info, left_out)
+        page = _report(options, told, corpus, fitted.leaves, info, warnings)
         errors.print(f"report: {page}", markup=False, highlight=False, soft_wrap=True)
     _summarise(errors, options.out, info, len(content))
     return 0
@@ -164,10 +169,10 @@ def _history(text: str) -> int:
     return int(text)
 
 
-def _record(command_line: str, info: ModelInfo, size: int, seconds: float) -> str:
+def _record(told: str, info: ModelInfo, size: int, seconds: float) -> str:
     """What was done and what came of it, for a reader; names no path of this machine."""
     entry: dict[str, Any] = {
-        "command": command_line,
+        "command": told,
         "markers": {"principal": info.principal, "references": info.references},
         "accuracy": info.accuracy,
         "sigma_mm": {
@@ -182,23 +187,22 @@ def _record(command_line: str, info: ModelInfo, size: int, seconds: float) -> st
 
 
 def _report(
-    folder: Path,
-    command_line: str,
+    options: argparse.Namespace,
+    told: str,
     corpus: Corpus,
     leaves: Leaves,
     info: ModelInfo,
-    left_out: Sequence[str],
+    warnings: Sequence[str],
 ) -> Path:
     from training.report.page import Report  # matplotlib takes a second to load
     from training.report.training import add_training
 
-    report = Report(folder, command_line)
-    add_training(report, corpus, leaves, info, left_out)
+    report = Report(
+        options.report, f"Training of {options.out.name} on {options.data.resolve().name}"
+    )
+    without = left_out(warnings, (options.data,))
+    add_training(report, told, corpus, leaves, info, without)
     return report.write()
-
-
-def _without_paths(argv: list[str]) -> list[str]:
-    return [Path(word).name if "/" in word else word for word in argv]
 
 
 def _write(path: Path, content: bytes) -> None:

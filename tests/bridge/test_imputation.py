@@ -3,7 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from bridge.estimator import PoseEstimator
 from bridge.imputation import FADE, ConditionalGaussian, Imputer
+from bridge.model import Model
+from drivers.frame import Floats, Layout, MarkerFrame
 
 random = np.random.default_rng(5)
 COUNT = 4
@@ -97,3 +100,41 @@ def test_other_markers_dropping_in_and_out_do_not_make_it_drift() -> None:
         filled = imputer.fill(markers, present, 1 / 120)
         mean = gaussian.fill(filled, present)
     assert np.linalg.norm(filled[1] - mean[1]) < 0.1 * np.linalg.norm(markers[1] - mean[1])
+
+
+class AtTheNeck:
+    """Puts every missing marker into the origin, C7."""
+
+    def reset(self) -> None:
+        self.calls = 0
+
+    def fill(self, xyz: Floats, present: np.ndarray, interval: float) -> Floats:
+        assert interval == pytest.approx(1 / 120)
+        self.calls += 1
+        return np.where(present[:, None], xyz, np.float32(0))
+
+
+def test_the_estimator_uses_the_imputation_it_is_given() -> None:
+    """One's own is asked once a frame; the bridge's own, given, changes no bit of a pose."""
+    model = Model("default")
+    info = model.info
+    layout = Layout(info.tracked, 120.0)
+    c7, toe = info.tracked.index("C7"), info.tracked.index("RTOE")
+    frames = random.normal(size=(30, len(info.tracked), 3)).astype(np.float32) * 0.05
+    frames[:, info.tracked.index("LSHO"), 0] -= 0.2
+    frames[10:, toe] = np.nan
+
+    def poses(estimator: PoseEstimator) -> Floats:
+        steps = (MarkerFrame(n, n / 120, n / 120, layout, xyz) for n, xyz in enumerate(frames))
+        return np.array([estimator.step(frame).xyz for frame in steps])
+
+    own = AtTheNeck()
+    at_the_neck = poses(PoseEstimator(model, imputation=own))
+    assert own.calls == len(frames)
+    np.testing.assert_allclose(
+        at_the_neck[10:, info.labels.index("RTOE")], frames[10:, c7], atol=1e-6
+    )
+    gaussian = ConditionalGaussian(info.mean, info.covariance)
+    given = poses(PoseEstimator(model, imputation=Imputer(gaussian)))
+    np.testing.assert_array_equal(given, poses(PoseEstimator(model)))
+    assert (given[10:] != at_the_neck[10:]).any()

@@ -2,20 +2,24 @@ import json
 import math
 import subprocess
 import sys
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from bridge.estimator import PoseEstimator
 from bridge.model import Model
 from drivers.errors import MarkerbridgeError, UsageError
 from drivers.marker_set import MARKERS
 from simulators.corruption import Faults, Gaps
 from training.dataset import load, load_training
 from training.evaluate_command import main
-from training.evaluation import evaluate, report
+from training.evaluation import GAMMA_EDGES, evaluate, report, score
 from training.nearest_neighbour import NearestNeighbour
 from training.poses import body_poses
 
+FACTS = ("file", "subject", "motion", "category", "performer", "frames")
 SCORES = ("rms_mm", "rms_all_mm", "jerk_mm", "roughness")
 BASELINE = ("nn_rms_mm", "nn_jerk_mm", "rms_ratio", "jerk_ratio")
 
@@ -48,14 +52,16 @@ def test_the_json_is_as_documented(small_dir, tmp_path, capsys):
     )
     found = json.loads(file.read_text(), parse_constant=pytest.fail)
     assert status == 0
-    assert set(found) == {"mean", "sequences", "sigma", "latency_us"}
+    groups = {"categories", "performers"}
+    assert set(found) == {"mean", *groups, "sequences", "sigma", "latency_us"}
     one, two = (found["sigma"][f"within_{n}"] for n in (1, 2))
     assert 0 < one["mean"] < two["mean"] < 1
     assert set(one["markers"]) == set(Model("default").info.unworn)
     assert set(found["mean"]) == {*SCORES, *BASELINE}
     (row,) = found["sequences"]
-    assert set(row) == {"file", "frames", *SCORES, *BASELINE}
-    assert (row["file"], row["frames"]) == ("real/07_12.c3d", 263)
+    assert set(row) == {*FACTS, *SCORES, *BASELINE}
+    facts = ["real/07_12.c3d", "07", "brisk walk", "walking", row["performer"], 263]
+    assert [row[name] for name in FACTS] == facts
     assert {name: row[name] for name in found["mean"]} == pytest.approx(found["mean"])
     assert row["rms_ratio"] == pytest.approx(row["rms_mm"] / row["nn_rms_mm"])
     assert row["jerk_ratio"] == pytest.approx(row["jerk_mm"] / row["nn_jerk_mm"])
@@ -125,14 +131,79 @@ def test_missing_truth_gives_null_and_valid_json(model, takes):
     truth = take.xyz[:30].copy()
     truth[:, [MARKERS.index(label) for label in model.info.unworn]] = np.nan
     blind = type(take)(take.name, "x", "", "", True, 120.0, truth)
-    found = report(evaluate(model, [blind]), model.info.unworn)
+    found = report(evaluate(model, [blind]), model.info)
     assert [found["mean"][name] for name in SCORES] == [None, pytest.approx(0.0), None, None]
     json.dumps(found, allow_nan=False)
     short = type(take)(take.name, "x", "", "", True, 120.0, take.xyz[:3])
-    assert report(evaluate(model, [short]), model.info.unworn)["latency_us"] == {
+    assert report(evaluate(model, [short]), model.info)["latency_us"] == {
         "p50": None,
         "p99": None,
     }
+
+
+def test_groups_are_means_over_their_sequences(model, takes):
+    trained = replace(model.info, training={"performers": ["02", "16"]})
+    results = evaluate(model, takes)
+    found = report(results, trained)
+    kinds = {"walking": ["02_01", "07_01", "07_12", "walking_t1"], "jumping": ["16_07"]}
+    known = {"new": ["07_01", "07_12"], "seen": ["02_01", "16_07"], "unknown": ["walking_t1"]}
+    rms = {Path(result.file).stem: result.scores.rms_mm for result in results}
+    frames = {Path(take.name).stem: len(take.xyz) for take in takes}
+    for name, groups in (("categories", kinds), ("performers", known)):
+        assert list(found[name]) == list(groups)  # the largest first
+        for group, files in groups.items():
+            row = found[name][group]
+            assert row["rms_mm"] == pytest.approx(sum(rms[file] for file in files) / len(files))
+            assert row["sequences"] == len(files)
+            assert row["frames"] == sum(frames[file] for file in files)
+            assert row["nn_rms_mm"] is None
+    untold = replace(model.info, training={})
+    assert list(report(results, untold)["performers"]) == ["unknown"]
+
+
+def test_the_trace_is_the_scores_frame_by_frame(model, takes, baseline):
+    for result in evaluate(model, takes, baseline=baseline):
+        scores, trace, nearest = result.scores, result.trace, result.nn_trace
+        assert len(trace.rms) == len(nearest.jerk) == len(result.transition) == result.frames
+        assert np.nanmean(trace.rms) == pytest.approx(scores.rms_mm)
+        assert np.nanmean(nearest.rms) == pytest.approx(scores.nn_rms_mm)
+        assert np.isnan(trace.jerk[0])
+        # By frames and not by samples: the same but for frames that lack some of the truth.
+        assert np.nanmean(trace.jerk) == pytest.approx(scores.jerk_mm, rel=0.05)
+        assert np.nanmean(nearest.jerk) == pytest.approx(scores.nn_jerk_mm, rel=0.05)
+
+
+def test_velocity_errors_are_counted_at_transitions_and_apart(model, takes):
+    take = next(take for take in takes if take.split == "test")
+    (result,) = evaluate(model, [take])
+    unworn = take.xyz[:, [MARKERS.index(label) for label in model.info.unworn]]
+    there = ~np.isnan(unworn[..., 0])
+    both = (there[1:] & there[:-1]).sum(axis=1)
+    assert 0 < result.transition[1:].sum() < len(both)
+    assert result.gamma.sum(axis=1).tolist() == [
+        both[~result.transition[1:]].sum(),
+        both[result.transition[1:]].sum(),
+    ]
+    middles = GAMMA_EDGES[:-1] + 0.5
+    mean = result.gamma.sum(axis=0) @ middles / result.gamma.sum()
+    assert mean == pytest.approx(result.scores.jerk_mm, abs=0.5)
+
+
+def test_without_the_mixture_it_is_rougher_and_transitions_are_single_frames(model, takes):
+    tests = [take for take in takes if take.split == "test"]
+    (mixed,) = evaluate(model, tests)
+    (plain,) = score(PoseEstimator(model, history=0), tests)
+    (same,) = score(PoseEstimator(model, history=model.info.history), tests)
+    assert same.scores == mixed.scores
+    assert plain.scores.roughness > mixed.scores.roughness
+    assert plain.scores.rms_mm == pytest.approx(mixed.scores.rms_mm, rel=0.2)
+    # The votes are the same: each change of leaf lasts the longer by the mixture.
+    changes = np.flatnonzero(plain.transition)
+    lasting = {frame + later for frame in changes for later in range(model.info.history + 1)}
+    assert 0 < len(changes) < len(lasting)
+    assert np.flatnonzero(mixed.transition).tolist() == sorted(
+        frame for frame in lasting if frame < mixed.frames
+    )
 
 
 def test_wrong_usage_and_what_cannot_be_read(small_dir, tmp_path, capsys):
@@ -156,4 +227,6 @@ def test_wrong_usage_and_what_cannot_be_read(small_dir, tmp_path, capsys):
 def test_a_plain_install_is_enough():
     code = "import sys, training.evaluate_command; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert not {"sklearn", "onnx", "skl2onnx", "joblib", "scipy"} & set(done.stdout.split())
+    assert not {"sklearn", "onnx", "skl2onnx", "joblib", "scipy", "matplotlib", "jinja2"} & set(
+        done.stdout.split()
+    )

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from training.metrics import frame_rms, jerk, rms, roughness
+from training.metrics import frame_rms, jerk, rms, roughness, row_mean, transitions, velocity_error
 
 
 def still(frames, markers=2):
@@ -35,6 +35,18 @@ def test_jerk_is_the_mean_norm_of_the_velocity_error_per_120th_of_a_second():
     assert jerk(estimate, truth, 60.0) == pytest.approx(5 / 8, rel=1e-4)
 
 
+def test_velocity_errors_are_those_of_each_marker_since_the_frame_before():
+    truth, estimate = still(3), still(3)
+    truth[:, 0, 2] = (0.0, 0.010, 0.030)
+    estimate[:, 1, 0] = (0.0, 0.003, 0.003)
+    truth[2, 1] = np.nan
+    expected = [[np.nan, np.nan], [10.0, 3.0], [20.0, np.nan]]
+    assert velocity_error(estimate, truth, 120.0) == pytest.approx(
+        np.array(expected), rel=1e-5, nan_ok=True
+    )
+    assert np.isnan(velocity_error(still(1), still(1), 120.0)).all()
+
+
 def test_jerk_needs_both_samples():
     truth, estimate = still(4, 1), still(4, 1)
     estimate[:, 0, 0] = (0.0, 0.001, 0.003, 0.006)
@@ -57,3 +69,21 @@ def test_nothing_to_score_is_none():
     assert roughness(still(5), nothing) is None
     assert jerk(still(1), still(1), 120.0) is None
     assert roughness(still(5), still(5)) is None  # a truth at rest
+
+
+def test_the_mean_of_a_row_leaves_out_what_is_not_known():
+    rows = np.array([[1.0, np.nan, 4.0], [np.nan] * 3, [2.0, 2.0, 2.0]])
+    assert row_mean(rows) == pytest.approx([2.5, np.nan, 2.0], nan_ok=True)
+
+
+def test_transitions_are_changes_of_leaf_and_the_window_after_them():
+    leaves = np.array([4, 4, 4, 7, 7, 7, 7, 7, 2, 7, 7, 7, 7])
+    for window, frames in (
+        (0, [3, 8, 9]),
+        (1, [3, 4, 8, 9, 10]),
+        (3, [3, 4, 5, 6, 8, 9, 10, 11, 12]),
+        (50, [3, 4, 5, 6, 7, 8, 9, 10, 11, 12]),
+    ):
+        assert np.flatnonzero(transitions(leaves, window)).tolist() == frames
+    assert not transitions(np.array([3, 3, 3]), 2).any()
+    assert transitions(np.array([3]), 2).tolist() == [False]

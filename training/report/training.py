@@ -31,11 +31,16 @@ _FRAME = 120.0  # frames of 1/120 s: the paper's, and the CMU database's
 
 
 def add_training(
-    report: Report, corpus: Corpus, leaves: Leaves, info: ModelInfo, left_out: Sequence[str]
+    report: Report,
+    command: str,
+    corpus: Corpus,
+    leaves: Leaves,
+    info: ModelInfo,
+    left_out: Sequence[tuple[str, str]],
 ) -> None:
-    """Adds all sections. left_out: what was said of captures that could not be used."""
+    """Adds all sections. command: as it was given. left_out: what could not be used, and why."""
     kinds = np.array([category(capture.motion) for capture in corpus.captures])
-    _data(report, corpus, kinds, left_out)
+    _data(report, command, corpus, kinds, left_out)
     _variance(report, corpus, info)
     _walks(report, corpus, kinds)
     _segments(report, corpus, kinds)
@@ -57,11 +62,16 @@ def dimensions(corpus: Corpus, share: float) -> npt.NDArray[np.int64]:
 
 
 def _data(
-    report: Report, corpus: Corpus, kinds: npt.NDArray[np.str_], left_out: Sequence[str]
+    report: Report,
+    command: str,
+    corpus: Corpus,
+    kinds: npt.NDArray[np.str_],
+    left_out: Sequence[tuple[str, str]],
 ) -> None:
     performers = {capture.subject for capture in corpus.captures}
     report.section(
         "Data",
+        f"Made by: {command}",
         "Captures, and the frames of theirs that have all 41 markers: the others are not trained "
         "on. Performers whom nobody can name count as one.",
     )
@@ -92,7 +102,7 @@ def _data(
         ],
     )
     if left_out:
-        report.table("left_out", "What was left out, and why.", ("told",), [(t,) for t in left_out])
+        report.table("left_out", "What was left out, and why.", ("what", "why"), left_out)
 
 
 def _variance(report: Report, corpus: Corpus, info: ModelInfo) -> None:
@@ -124,7 +134,7 @@ def _variance(report: Report, corpus: Corpus, info: ModelInfo) -> None:
         "variance",
         "The same as numbers.",
         ("components", "variance explained [%]"),
-        [(int(n), float(share)) for n, share in zip(count[:40], covered[:40], strict=True)],
+        [(int(n), float(share)) for n, share in zip(count[:20], covered[:20], strict=True)],
     )
 
 
@@ -147,7 +157,13 @@ def _walks(report: Report, corpus: Corpus, kinds: npt.NDArray[np.str_]) -> None:
     count = np.arange(1, _SHOWN + 1)
     for row, shares in zip(walking, alone, strict=True):
         real = corpus.captures[row].real
-        axes.plot(count, shares[:_SHOWN], color=OURS if real else "0.75", lw=1.5 if real else 0.7)
+        axes.plot(
+            count,
+            shares[:_SHOWN],
+            color=OURS if real else "0.75",
+            lw=1.5 if real else 0.7,
+            zorder=3 if real else 2,
+        )
     axes.plot(count, together[:_SHOWN], color=NEAREST, marker="o", lw=2)
     axes.plot(count, centred[:_SHOWN], color=NEAREST, marker=".", ls="--")
     axes.plot([2], [90], "x", color=PAPER, ms=9)
@@ -250,11 +266,7 @@ def _segments(report: Report, corpus: Corpus, kinds: npt.NDArray[np.str_]) -> No
             (
                 str(name),
                 int((of_segment == name).sum()),
-                *(
-                    float(pick(dims[share][of_segment == name]))
-                    for share in SHARES
-                    for pick in (np.min, np.median, np.max)
-                ),
+                *(value for share in SHARES for value in _range(dims[share][of_segment == name])),
             )
             for name in names
         ],
@@ -282,6 +294,10 @@ def _segments(report: Report, corpus: Corpus, kinds: npt.NDArray[np.str_]) -> No
             )
         ],
     )
+
+
+def _range(values: npt.NDArray[np.int64]) -> tuple[int, float, int]:
+    return int(values.min()), float(np.median(values)), int(values.max())
 
 
 def _clusters(report: Report, corpus: Corpus, leaves: Leaves, kinds: npt.NDArray[np.str_]) -> None:
