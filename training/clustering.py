@@ -11,7 +11,7 @@ from sklearn.base import BaseEstimator, ClusterMixin
 from sklearn.cluster import KMeans
 from sklearn.utils.validation import validate_data
 
-from training.moments import mean_and_covariances
+from training.moments import SegmentMoments, mean_and_covariances
 from training.ppca import components_for
 
 Array = npt.NDArray[np.float64]
@@ -33,8 +33,8 @@ class SegmentFeatures:
     variances: Array
 
 
-def segment_features(moments: Array, weight: float) -> SegmentFeatures:
-    """The features of segments with these moments (S, PACKED); `weight` is w.
+def segment_features(moments: SegmentMoments, weight: float) -> SegmentFeatures:
+    """The features of segments, of which these are the moments; `weight` is w.
 
     v is the upper triangle of the covariance, mu the mean. Both parts are scaled to a total
     variance of 1 over the segments first, so that w alone sets their balance; then PCA keeps 95 %
@@ -51,7 +51,7 @@ def segment_features(moments: Array, weight: float) -> SegmentFeatures:
     axes, variances = principal_axes(seen, VARIANCE)
     rows = np.empty((len(moments), axes.shape[1]))
     for start in range(0, len(moments), _BATCH):
-        batch = slice(start, start + _BATCH)
+        batch = np.arange(start, min(start + _BATCH, len(moments)))
         mu, v = mean_and_covariances(moments[batch])
         rows[batch] = (np.hstack([factors[0] * v, factors[1] * mu]) - centre) @ axes
     return SegmentFeatures(rows, variances)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from sklearn.ensemble import RandomForestClassifier
 
 from bridge.body_frame import REFERENCES
 from bridge.model import ModelInfo
@@ -15,13 +14,14 @@ from drivers.marker_set import MARKERS
 from training.clustering import DivisiveKMeans, SegmentFeatures, segment_features
 from training.corpus import Corpus
 from training.export import Graph
-from training.forest import sparse_forest, train_forest
+from training.forest import grow_forest, sparse_forest
 from training.local_models import NormalEquations, least_squares, ridge, shrunk
 from training.mirroring import mirrored
 from training.moments import (
     COORDINATES,
     ONE,
     PACKED,
+    SegmentMoments,
     columns_of,
     matrix,
     mean_and_covariance,
@@ -88,7 +88,7 @@ def fit(
     width = 3 * len(principal) if recipe.plain else len(x)
     maps = np.array([_map(moments, x[:width], z, whole, recipe) for moments in own], np.float32)
     rows = forest_rows(corpus, leaves, x[:width])
-    forest = train_forest(rows.x, rows.leaf, recipe.forest, seed)
+    forest = sparse_forest(grow_forest(rows.x, rows.leaf, recipe.forest, seed), recipe.plain)
     mean, covariance = mean_and_covariance(everything, x)
     info = ModelInfo(
         estimator="paper" if recipe.plain else "local",
@@ -100,17 +100,15 @@ def fit(
         covariance=covariance.tolist(),
         sigma=[0.0] * len(unworn),
         sensitivity=ridge(whole, recipe.noise)[:, :-1].tolist(),
-        training={"leaves": leaves.count, "forest_nodes": _nodes(forest)},
+        training={"leaves": leaves.count, "forest_nodes": len(forest.node)},
     )
-    graph = Graph(sparse_forest(forest, recipe.plain), recipe.plain, maps[..., :-1], maps[..., -1])
+    graph = Graph(forest, recipe.plain, maps[..., :-1], maps[..., -1])
     return Fitted(graph, info, leaves)
 
 
 def cluster(corpus: Corpus, segments: Indices, recipe: Recipe, seed: int) -> Leaves:
     """The leaves of these segments, and of their mirror images where the recipe wants them."""
-    moments = corpus.moments[segments]
-    if recipe.mirror:
-        moments = np.concatenate([moments, mirrored_moments(moments)])
+    moments = SegmentMoments(corpus.moments, segments, recipe.mirror)
     features = segment_features(moments, recipe.covariance_weight)
     hierarchy = DivisiveKMeans(recipe.tolerance, seed).fit(features.rows)
     count = len(segments)
@@ -166,7 +164,3 @@ def _map(
         return np.pad(least_squares(NormalEquations.between(moments, x, z)), ((0, 0), (0, 1)))
     own = NormalEquations.between(moments, np.append(x, ONE), z)
     return shrunk(own, whole, recipe.share, recipe.noise)
-
-
-def _nodes(forest: RandomForestClassifier) -> int:
-    return sum(tree.tree_.node_count for tree in forest.estimators_)

@@ -5,7 +5,9 @@ scikit-learn keeps a value per class in every node; here a leaf keeps only the c
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +16,8 @@ from sklearn.ensemble import RandomForestClassifier
 from drivers.frame import Floats
 
 Indices = npt.NDArray[np.int64]
+
+BATCH = 10  # trees that are held as scikit-learn has them
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,55 +52,67 @@ class Forest:
     entry_weight: Floats
 
 
-def train_forest(
+def grow_forest(
     x: Floats,
     labels: npt.NDArray[np.int64],
     options: ForestOptions,
     seed: int,
-) -> RandomForestClassifier:
-    """Fits rows x (N, D) to the numbers (N,) of their local models, by the workers in force."""
-    forest = RandomForestClassifier(
-        options.trees,
-        min_samples_leaf=options.leaf,
-        max_depth=options.depth,
-        random_state=seed,
-    )
-    forest.fit(x, labels)
-    return forest
+) -> Iterator[RandomForestClassifier]:
+    """Fits rows x (N, D) to the numbers (N,) of their local models, by the workers in force.
+
+    Yields the forest in parts of BATCH trees: scikit-learn keeps a value per class in every node,
+    which for all trees at once takes most of the memory. Together they are the forest that it would
+    have grown from this seed.
+    """
+    random = np.random.RandomState(seed)  # each part goes on with it
+    for start in range(0, options.trees, BATCH):
+        part = RandomForestClassifier(
+            min(BATCH, options.trees - start),
+            min_samples_leaf=options.leaf,
+            max_depth=options.depth,
+            random_state=random,
+        )
+        part.fit(x, labels)
+        yield part
 
 
-def sparse_forest(forest: RandomForestClassifier, hard: bool) -> Forest:
-    """The forest's nodes, and the non-zero class weights of its leaves.
+def sparse_forest(parts: Iterable[RandomForestClassifier], hard: bool) -> Forest:
+    """The nodes of all parts, and the non-zero class weights of their leaves.
 
     hard: each tree votes for one class, as in Breiman's paper, in place of its class shares.
     """
-    parts: dict[str, list[npt.NDArray[np.generic]]] = {
-        name: [] for name in Forest.__slots__ if name != "classes"
+    columns: dict[str, list[npt.NDArray[Any]]] = {}
+    count = classes = 0
+    for part in parts:
+        classes = len(part.classes_)
+        for estimator in part.estimators_:
+            for name, column in _sparse_tree(estimator.tree_, count, hard).items():
+                columns.setdefault(name, []).append(column)
+            count += 1
+    arrays = {name: np.concatenate(column) for name, column in columns.items()}
+    weights = (arrays.pop("entry_weight") / count).astype(np.float32)
+    return Forest(classes=classes, entry_weight=weights, **arrays)
+
+
+def _sparse_tree(tree: Any, number: int, hard: bool) -> dict[str, npt.NDArray[Any]]:
+    """One tree's columns of `Forest`, its weights summing to 1 over each leaf."""
+    is_leaf = tree.children_left < 0
+    shares = tree.value[:, 0, :] / tree.value[:, 0, :].sum(axis=1, keepdims=True)
+    if hard:
+        shares = np.eye(shares.shape[1])[shares.argmax(axis=1)]
+    node, entry = np.nonzero(shares * is_leaf[:, None])
+    return {
+        "tree": np.full(tree.node_count, number),
+        "node": np.arange(tree.node_count),
+        "feature": np.where(is_leaf, -1, tree.feature),
+        "threshold": round_down(np.where(is_leaf, 0.0, tree.threshold)),
+        "left": np.maximum(tree.children_left, 0),
+        "right": np.maximum(tree.children_right, 0),
+        "entry_tree": np.full(len(node), number),
+        "entry_node": node,
+        "entry_class": entry,
+        "entry_weight": shares[node, entry],
     }
-    count = len(forest.estimators_)
-    for number, estimator in enumerate(forest.estimators_):
-        tree = estimator.tree_
-        is_leaf = tree.children_left < 0
-        shares = tree.value[:, 0, :] / tree.value[:, 0, :].sum(axis=1, keepdims=True)
-        if hard:
-            shares = np.eye(shares.shape[1])[shares.argmax(axis=1)]
-        node, entry = np.nonzero(shares * is_leaf[:, None])
-        columns = {
-            "tree": np.full(tree.node_count, number),
-            "node": np.arange(tree.node_count),
-            "feature": np.where(is_leaf, -1, tree.feature),
-            "threshold": round_down(np.where(is_leaf, 0.0, tree.threshold)),
-            "left": np.maximum(tree.children_left, 0),
-            "right": np.maximum(tree.children_right, 0),
-            "entry_tree": np.full(len(node), number),
-            "entry_node": node,
-            "entry_class": entry,
-            "entry_weight": (shares[node, entry] / count).astype(np.float32),
-        }
-        for name, column in columns.items():
-            parts[name].append(column)
-    arrays = {name: np.concatenate(columns) for name, columns in parts.items()}
-    return Forest(classes=len(forest.classes_), **arrays)
 
 
 def round_down(values: npt.NDArray[np.float64]) -> Floats:

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from training.fitting import Rows
-from training.forest import ForestOptions, train_forest
+from training.forest import ForestOptions, grow_forest
 
 HELD = 0.2  # share held out
 
@@ -56,7 +56,9 @@ def _wrong(
     rows: Rows, held: npt.NDArray[np.bool_], options: ForestOptions, seed: int
 ) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
     """Of each row held out: whether its leaf is named wrongly; whether others have that leaf."""
-    forest = train_forest(rows.x[~held], rows.leaf[~held], options, seed)
-    return forest.predict(rows.x[held]) != rows.leaf[held], np.isin(
-        rows.leaf[held], rows.leaf[~held]
-    )
+    known = np.unique(rows.leaf[~held])
+    votes = np.zeros((held.sum(), len(known)))
+    for part in grow_forest(rows.x[~held], rows.leaf[~held], options, seed):
+        votes += len(part.estimators_) * part.predict_proba(rows.x[held])
+    wrong = known[votes.argmax(axis=1)] != rows.leaf[held]
+    return wrong, np.isin(rows.leaf[held], known)

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from sklearn.cluster import KMeans
 
 from training.ppca import components_for
+from training.workers import single_threaded
 
 Array = npt.NDArray[np.float64]
 
@@ -27,6 +28,7 @@ class Selection:
     clusters: int
 
 
+@single_threaded
 def select_markers(
     covariance: Array,
     labels: Sequence[str],

@@ -7,6 +7,8 @@ image's moments are those of the pose, permuted.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import numpy.typing as npt
 
@@ -45,6 +47,26 @@ def mirrored_moments(moments: Array) -> Array:
     """The moments (..., PACKED) of the same frames with left and right exchanged."""
     twins: Array = moments[..., _TWIN_PLACE] * _TWIN_SIGN
     return twins
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SegmentMoments:
+    """The moments (S, PACKED) of some segments and, after them, where `mirror`, of their mirror
+    images: made when rows are asked for, as all at once are large.
+    """
+
+    moments: Array
+    segments: npt.NDArray[np.int64]
+    mirror: bool
+
+    def __len__(self) -> int:
+        return len(self.segments) * (2 if self.mirror else 1)
+
+    def __getitem__(self, rows: npt.NDArray[np.int64]) -> Array:
+        count = len(self.segments)
+        found: Array = self.moments[self.segments[rows % count]]
+        found[rows >= count] = mirrored_moments(found[rows >= count])
+        return found
 
 
 def matrix(moments: Array) -> Array:

@@ -1,5 +1,6 @@
-"""Every command of the README, as it stands there. The first two set a machine up: .ci/run runs
-those; this runs the others, with a scratch folder for /tmp and the current folder.
+"""Every command of the README and of docs/reproduction.md, as it stands there. The first two set
+a machine up: .ci/run runs those; this runs the others, with a scratch folder for /tmp and the
+current folder.
 """
 
 from __future__ import annotations
@@ -19,9 +20,11 @@ from pathlib import Path
 import pytest
 
 from tests.end_to_end.peers import WAIT, wait_for
+from tests.training.cmu_site import serving
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
+REPRODUCTION = (ROOT / "docs/reproduction.md").read_text()
 BLOCKS = [block.strip() for block in re.findall(r"```sh\n(.*?)```", README, flags=re.DOTALL)]
 LIVE = 3.0  # s that a session which would not end is watched
 
@@ -36,10 +39,11 @@ SESSION = block("take.c3d")
 REPLAY = block("captures/walk.c3d")
 ENGINE = block("vmc://")
 MODEL = block("markerbridge train")
+FETCH = block("markerbridge fetch")
 
 
 def test_no_command_of_the_readme_is_left_out() -> None:
-    assert set(BLOCKS[2:]) == {SIMULATE, SESSION, REPLAY, ENGINE, MODEL}
+    assert set(BLOCKS[2:]) == {SIMULATE, SESSION, REPLAY, ENGINE, MODEL, FETCH}
     for setting_up in BLOCKS[:2]:
         assert "apt-get install" in setting_up
         assert "pip install -c requirements.lock" in setting_up
@@ -53,7 +57,7 @@ def shell(command: str, cwd: Path) -> Iterator[subprocess.Popen[str]]:
     process = subprocess.Popen(
         ["bash", "-c", command.replace("/tmp/", f"{cwd}/")],
         cwd=cwd,
-        env=os.environ | {"PATH": f"{here}:{os.environ['PATH']}"},
+        env=os.environ | {"PATH": f"{here}:{os.environ['PATH']}", "NO_PROXY": "127.0.0.1"},
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         text=True,
@@ -120,8 +124,32 @@ def test_a_model_of_ones_own(data_dir: Path, tmp_path: Path) -> None:
     with shell(evaluate, tmp_path) as evaluation:
         finished(evaluation, 100)
     assert '"rms_ratio"' in (tmp_path / "figures.json").read_text()
+    assert "Beside the paper" in (tmp_path / "report/index.html").read_text()
     with shell(SIMULATE, tmp_path):
         wait_for((tmp_path / "tracker").is_symlink, "the serial port")
         with shell(run, tmp_path) as bridge:
             time.sleep(LIVE)
             assert "poses out" in interrupted(bridge)
+
+
+def test_captures_from_the_database(data_dir: Path, tmp_path: Path) -> None:
+    """From a server here that is laid out as the database's site: it is not asked by tests."""
+    with serving(data_dir) as site, shell(f"{FETCH} --from {site.url}", tmp_path) as fetching:
+        finished(fetching)
+    captures = {path.name for path in (tmp_path / "captures").glob("*/*.c3d")}
+    assert captures == {"02_01.c3d", "02_02.c3d", "02_03.c3d", "07_12.c3d"}
+    assert "brisk walk" in (tmp_path / "captures/manifest.csv").read_text()
+
+
+COMMANDS = re.findall(r"```sh\n(.*?)```", REPRODUCTION, flags=re.DOTALL)
+
+
+@pytest.mark.timeout(400)
+def test_the_papers_experiments(small_dir: Path, tmp_path: Path) -> None:
+    """As docs/reproduction.md has them, but on few captures and with few runs."""
+    (tmp_path / "captures").symlink_to(small_dir)
+    commands = "".join(COMMANDS).replace("--runs 1000", "--runs 12")
+    with shell(f"set -e\n{commands}", tmp_path) as experiments:
+        finished(experiments, 350)
+    pages = sorted(page.parent.name for page in (tmp_path / "reports").glob("*/index.html"))
+    assert pages == ["evaluate", "evaluate-paper", "markers", "train", "train-paper"]

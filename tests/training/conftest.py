@@ -1,9 +1,6 @@
-"""What the tests of training share: a small folder of real captures, and a model trained on it."""
+"""What the tests of training share."""
 
 from __future__ import annotations
-
-import csv
-import shutil
 
 import numpy as np
 import pytest
@@ -14,13 +11,6 @@ from drivers.marker_set import MARKERS
 from training.dataset import load_training
 
 PAPER_SIX = "LFHD,RELB,LUPA,RSHN,LTOE,RTOE"
-SMALL = {
-    "real/02_01.c3d": "train",
-    "real/07_01.c3d": "train",
-    "real/16_07.c3d": "train",
-    "virtual/walking_t1.c3d": "train",
-    "real/07_12.c3d": "test",
-}
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -28,23 +18,6 @@ def _single_thread():
     """As the commands do: the matrices are small, and threads wait for each other."""
     with threadpool_limits(1):
         yield
-
-
-@pytest.fixture(scope="session")
-def small_dir(data_dir, tmp_path_factory):
-    """A folder as the data folder is, but with five files."""
-    folder = tmp_path_factory.mktemp("small")
-    with (data_dir / "manifest.csv").open(newline="") as file:
-        rows = [row for row in csv.DictReader(file) if row["file"] in SMALL]
-    assert {row["file"]: row["split"] for row in rows} == SMALL
-    with (folder / "manifest.csv").open("w", newline="") as file:
-        table = csv.DictWriter(file, fieldnames=list(rows[0]))
-        table.writeheader()
-        table.writerows(rows)
-    for name in SMALL:
-        (folder / name).parent.mkdir(exist_ok=True)
-        shutil.copy(data_dir / name, folder / name)
-    return folder
 
 
 @pytest.fixture(scope="session")

@@ -5,7 +5,7 @@ from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from training import clustering
 from training.clustering import DivisiveKMeans, principal_axes, segment_features
-from training.moments import moments_of
+from training.moments import SegmentMoments, mirrored_moments, moments_of
 
 
 @parametrize_with_checks([DivisiveKMeans()])
@@ -92,6 +92,11 @@ def test_the_axes_are_those_of_scikit_learns_pca():
     )
 
 
+def features_of(moments, weight):
+    moments = np.array(moments)
+    return segment_features(SegmentMoments(moments, np.arange(len(moments)), False), weight)
+
+
 def poses_of(random, frames):
     """Poses (frames, 41, 3) whose coordinates vary along a few directions."""
     directions = random.normal(size=(5, 123))
@@ -110,7 +115,7 @@ def test_the_features_are_the_papers():
     expected = PCA(n_components=0.95, svd_solver="full").fit_transform(
         np.hstack([0.3 * v, 0.7 * mu])
     )
-    found = segment_features(np.array([moments_of(part) for part in segments]), 0.3).rows
+    found = features_of([moments_of(part) for part in segments], 0.3).rows
     assert found.shape == expected.shape
     apart = [np.linalg.norm(part[:, None] - part[None], axis=2) for part in (found, expected)]
     np.testing.assert_allclose(*apart, atol=1e-6)
@@ -122,9 +127,9 @@ def test_of_many_segments_some_tell_the_axes(monkeypatch):
     moments = np.array(
         [moments_of(kinds[n % 4] + random.normal(scale=0.01, size=(60, 41, 3))) for n in range(80)]
     )
-    whole = segment_features(moments, 0.5)
+    whole = features_of(moments, 0.5)
     monkeypatch.setattr(clustering, "BASIS", 41)
-    some = segment_features(moments, 0.5)
+    some = features_of(moments, 0.5)
     assert len(some.variances) == 41
     assert len(some.rows) == len(whole.rows) == 80
     for features in (whole, some):
@@ -139,13 +144,22 @@ def test_features_tell_covariance_from_mean():
     moments = np.array([moments_of(part) for part in segments])
 
     def groups(weight):
-        return divide(segment_features(moments, weight).rows, 0.5, seed=0).tolist()
+        return divide(features_of(moments, weight).rows, 0.5, seed=0).tolist()
 
     assert groups(1.0) == [0, 0, 1, 1]
     assert groups(0.0) == [0, 1, 0, 1]
     assert groups(0.5) == [0, 1, 2, 3]
 
 
+def test_mirror_images_have_features_of_their_own():
+    random = np.random.default_rng(10)
+    moments = np.array([moments_of(poses_of(random, 40)) for _ in range(5)])
+    some = np.array([3, 0])
+    found = segment_features(SegmentMoments(moments, some, True), 0.5).rows
+    expected = features_of([*moments[some], *mirrored_moments(moments[some])], 0.5).rows
+    np.testing.assert_array_equal(found, expected)
+
+
 def test_a_single_segment_has_features():
-    moments = moments_of(poses_of(np.random.default_rng(9), 30))[None]
-    assert divide(segment_features(moments, 0.5).rows, 0.5, seed=0).tolist() == [0]
+    moments = [moments_of(poses_of(np.random.default_rng(9), 30))]
+    assert divide(features_of(moments, 0.5).rows, 0.5, seed=0).tolist() == [0]

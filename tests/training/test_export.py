@@ -3,10 +3,11 @@ from dataclasses import replace
 import numpy as np
 import onnx
 import pytest
+from sklearn.ensemble import RandomForestClassifier
 
 from bridge.model import Model, ModelInfo
 from training.export import Graph, to_onnx
-from training.forest import ForestOptions, sparse_forest, train_forest
+from training.forest import sparse_forest
 from training.reference import ReferenceModel
 
 LEAVES, WIDTH, OUTPUTS = 5, 9, 3 * 37
@@ -19,11 +20,11 @@ def small(request, minimal_info, tmp_path_factory):
     width = 3 if request.param == "paper" else WIDTH
     x = random.normal(size=(400, width)).astype(np.float32)
     labels = np.argmax(x @ random.normal(size=(width, LEAVES)), axis=1)
-    forest = train_forest(x, labels, ForestOptions(trees=9, leaf=4), seed=0)
+    forest = RandomForestClassifier(9, min_samples_leaf=4, random_state=0).fit(x, labels)
     hard = request.param == "paper"
     maps = random.normal(size=(LEAVES, OUTPUTS, width)).astype(np.float32)
     offsets = random.normal(size=(LEAVES, OUTPUTS)).astype(np.float32)
-    graph = Graph(sparse_forest(forest, hard), hard, maps, offsets)
+    graph = Graph(sparse_forest([forest], hard), hard, maps, offsets)
     path = tmp_path_factory.mktemp("export") / "small.onnx"
     path.write_bytes(to_onnx(graph, replace(minimal_info, estimator=request.param)))
     return path, forest, graph, random.normal(size=(60, width)).astype(np.float32)

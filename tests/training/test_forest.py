@@ -2,9 +2,10 @@ import numpy as np
 import onnxruntime
 import pytest
 from skl2onnx import to_onnx as oracle
+from sklearn.ensemble import RandomForestClassifier
 
 from training.export import Graph, to_onnx
-from training.forest import ForestOptions, round_down, sparse_forest, train_forest
+from training.forest import Forest, ForestOptions, grow_forest, round_down, sparse_forest
 
 
 @pytest.fixture(scope="module")
@@ -13,7 +14,7 @@ def trained():
     x = random.normal(size=(600, 6)).astype(np.float32)
     labels = (x[:, 0] > 0) + 2 * (x[:, 1] + 0.5 * random.normal(size=600) > 0)
     x[300:, 5] = np.round(x[300:, 5], 1)  # ties, where thresholds fall on rows' own values
-    return train_forest(x, labels, ForestOptions(trees=12, leaf=3), seed=0), x
+    return RandomForestClassifier(12, min_samples_leaf=3, random_state=0).fit(x, labels), x
 
 
 def walk(forest, row):
@@ -42,12 +43,24 @@ def probabilities_in_onnx(content, rows, classes):
 
 def test_the_sparse_forest_gives_the_probabilities_of_scikit_learn(trained):
     forest, x = trained
-    found = np.array([walk(sparse_forest(forest, hard=False), row) for row in x[::10]])
+    found = np.array([walk(sparse_forest([forest], hard=False), row) for row in x[::10]])
     np.testing.assert_allclose(found, forest.predict_proba(x[::10]), atol=1e-6)
 
 
+@pytest.mark.parametrize("trees", [5, 10, 23])
+def test_grown_in_parts_it_is_scikit_learns_forest(trained, trees):
+    _, x = trained
+    labels = (x[:, 0] > 0).astype(int)
+    whole = RandomForestClassifier(trees, min_samples_leaf=3, random_state=7).fit(x, labels)
+    expected = sparse_forest([whole], hard=False)
+    found = sparse_forest(grow_forest(x, labels, ForestOptions(trees, 3), seed=7), hard=False)
+    assert found.classes == expected.classes == 2
+    for name in Forest.__slots__[1:]:
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), name)
+
+
 def test_only_leaves_have_weights_and_none_is_zero(trained):
-    forest = sparse_forest(trained[0], hard=False)
+    forest = sparse_forest([trained[0]], hard=False)
     leaves = set(zip(forest.tree[forest.feature < 0], forest.node[forest.feature < 0], strict=True))
     assert set(zip(forest.entry_tree, forest.entry_node, strict=True)) == leaves
     assert (forest.entry_weight > 0).all()
@@ -55,7 +68,7 @@ def test_only_leaves_have_weights_and_none_is_zero(trained):
 
 def test_hard_votes_count_one_class_per_tree(trained):
     forest, x = trained
-    found = np.array([walk(sparse_forest(forest, hard=True), row) for row in x[::10]])
+    found = np.array([walk(sparse_forest([forest], hard=True), row) for row in x[::10]])
     votes = np.array([tree.predict(x[::10]) for tree in forest.estimators_], int)
     expected = np.array([np.bincount(column, minlength=4) / len(votes) for column in votes.T])
     np.testing.assert_allclose(found, expected, atol=1e-6)
@@ -65,7 +78,7 @@ def test_the_exported_forest_agrees_with_skl2onnx(trained, minimal_info):
     forest, x = trained
     rows = np.random.default_rng(1).normal(size=(100, 6)).astype(np.float32)
     rows = np.concatenate([rows, x[:100]])
-    graph = Graph(sparse_forest(forest, hard=False), False, np.zeros((4, 3, 6)), np.zeros((4, 3)))
+    graph = Graph(sparse_forest([forest], hard=False), False, np.zeros((4, 3, 6)), np.zeros((4, 3)))
     found = probabilities_in_onnx(to_onnx(graph, minimal_info), rows, 4)
     content = oracle(
         forest, x[:1], options={"zipmap": False}, target_opset={"": 17, "ai.onnx.ml": 3}
@@ -83,7 +96,7 @@ def test_rows_on_a_threshold_go_where_scikit_learn_sends_them(trained, minimal_i
     rows[np.arange(inner.sum()), tree.feature[inner]] = np.nextafter(
         tree.threshold[inner].astype(np.float32), np.float32(np.inf)
     )
-    graph = Graph(sparse_forest(forest, hard=False), False, np.zeros((4, 3, 6)), np.zeros((4, 3)))
+    graph = Graph(sparse_forest([forest], hard=False), False, np.zeros((4, 3, 6)), np.zeros((4, 3)))
     found = probabilities_in_onnx(to_onnx(graph, minimal_info), rows, 4)
     np.testing.assert_allclose(found, forest.predict_proba(rows), atol=1e-5)
 

@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from sklearn.ensemble import RandomForestClassifier
 
 from bridge.model import Model
 from drivers.marker_set import MARKERS
 from training.export import Graph, to_onnx
-from training.forest import ForestOptions, sparse_forest, train_forest
+from training.forest import sparse_forest
 from training.proximity import ITERATIONS, ProximityImputer, Trees, spread_evenly
 
 FEATURES = [MARKERS.index(label) for label in ("LFHD", "LSHO", "RSHO")]
@@ -19,11 +20,11 @@ CLASSES, OUTPUTS = 4, 3 * 37
 
 def save(path, x, labels, info, leaf=3, hard=False):
     """A model file around a forest trained on x (N, D), and the forest."""
-    forest = train_forest(x, labels, ForestOptions(trees=12, leaf=leaf), seed=0)
+    forest = RandomForestClassifier(12, min_samples_leaf=leaf, random_state=0).fit(x, labels)
     classes = len(forest.classes_)
     maps = np.zeros((classes, OUTPUTS, x.shape[1]), np.float32)
     offsets = np.zeros((classes, OUTPUTS), np.float32)
-    path.write_bytes(to_onnx(Graph(sparse_forest(forest, hard), hard, maps, offsets), info))
+    path.write_bytes(to_onnx(Graph(sparse_forest([forest], hard), hard, maps, offsets), info))
     return Model(path), forest
 
 
