@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -11,7 +12,7 @@ from sklearn.base import BaseEstimator, ClusterMixin
 from sklearn.cluster import KMeans
 from sklearn.utils.validation import validate_data
 
-from training.moments import SegmentMoments, mean_and_covariances
+from training.moments import COVARIANCES, SegmentMoments, mean_and_covariances
 from training.ppca import components_for
 
 Array = npt.NDArray[np.float64]
@@ -41,20 +42,28 @@ def segment_features(moments: SegmentMoments, weight: float) -> SegmentFeatures:
     of the variance. The unit is thus the spread of all segments. Of more than BASIS segments every
     so many-th tells scale and axes: memory and time then grow with the segments, not their square.
     """
-    chosen = np.linspace(0, len(moments) - 1, min(len(moments), BASIS)).round().astype(int)
-    mu, v = mean_and_covariances(moments[chosen])
-    factors = weight * _inverse_spread(v), (1 - weight) * _inverse_spread(mu)
-    seen = np.hstack([factors[0] * v, factors[1] * mu])
-    del mu, v
+    some = np.linspace(0, len(moments) - 1, min(len(moments), BASIS)).round().astype(int)
+    seen = np.concatenate([features for _, features in _batches(moments, some)])
     centre = seen.mean(axis=0)
     seen -= centre
+    scale = np.empty(len(centre))
+    scale[:COVARIANCES] = weight * _inverse_spread(seen[:, :COVARIANCES])
+    scale[COVARIANCES:] = (1 - weight) * _inverse_spread(seen[:, COVARIANCES:])
+    seen *= scale
     axes, variances = principal_axes(seen, VARIANCE)
+    del seen
     rows = np.empty((len(moments), axes.shape[1]))
-    for start in range(0, len(moments), _BATCH):
-        batch = np.arange(start, min(start + _BATCH, len(moments)))
-        mu, v = mean_and_covariances(moments[batch])
-        rows[batch] = (np.hstack([factors[0] * v, factors[1] * mu]) - centre) @ axes
+    for batch, features in _batches(moments, np.arange(len(moments))):
+        rows[batch] = (features - centre) * scale @ axes
     return SegmentFeatures(rows, variances)
+
+
+def _batches(moments: SegmentMoments, rows: Indices) -> Iterator[tuple[Indices, Array]]:
+    """Some of the segments at a time: their rows, and [v, mu] of each."""
+    for start in range(0, len(rows), _BATCH):
+        batch = rows[start : start + _BATCH]
+        mu, v = mean_and_covariances(moments[batch])
+        yield batch, np.hstack([v, mu])
 
 
 def principal_axes(centred: Array, share: float) -> tuple[Array, Array]:
@@ -123,7 +132,7 @@ class DivisiveKMeans(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         return self
 
 
-def _inverse_spread(rows: Array) -> float:
+def _inverse_spread(centred: Array) -> float:
     """One over the root of the total variance of the rows; 1 where they are all the same."""
-    total = float(np.sqrt(rows.var(axis=0).sum()))
+    total = float(np.sqrt(np.einsum("sd,sd->", centred, centred) / len(centred)))
     return 1 / total if total else 1.0

@@ -31,6 +31,7 @@ _TWIN_SIGN = _SIGN[_ROWS] * _SIGN[_COLUMNS]
 # Which entries of the packed moment are products of two coordinates, and which are their sums.
 _IS_PRODUCT = _COLUMNS < ONE
 _FIRST, _SECOND = _ROWS[_IS_PRODUCT], _COLUMNS[_IS_PRODUCT]
+COVARIANCES = len(_FIRST)  # numbers of a covariance's upper triangle
 _SUMS = _PLACE[:COORDINATES, ONE]
 _COUNT = _PLACE[ONE, ONE]
 
@@ -77,7 +78,7 @@ def matrix(moments: Array) -> Array:
 
 def mean_and_covariances(moments: Array) -> tuple[Array, Array]:
     """Of each row of moments (S, PACKED): the mean (S, 123), metres, and the upper triangle
-    (S, 7626) of the covariance, m²; of a single frame it is zero.
+    (S, COVARIANCES) of the covariance, m²; of a single frame it is zero.
     """
     count = moments[:, _COUNT, None]
     mean = moments[:, _SUMS] / count

@@ -68,13 +68,12 @@ def train(
     left_out = {}
     scored = score_folds(corpus, folder, folds, principal, recipe, seed)
     for fold, results in zip(folds, scored, strict=True):
-        if results is None:
-            advance(f"without {fold.name}: nothing left to train on", FIT_WORK)
-            continue
-        held += results
-        left_out[fold.name] = _told(mean_scores(results))
-        rms = left_out[fold.name]["rms_mm"]
-        reached = "nothing to score" if rms is None else f"RMS {rms:.1f} mm"
+        reached = "nothing left to train on" if results is None else "nothing to score"
+        if results:
+            held += results
+            left_out[fold.name] = _told(mean_scores(results))
+            rms = left_out[fold.name]["rms_mm"]
+            reached = reached if rms is None else f"RMS {rms:.1f} mm"
         advance(f"without {fold.name}: {reached}", FIT_WORK)
     fitted = fit(corpus, np.arange(len(corpus.frames)), principal, recipe, seed)
     model = loaded(fitted)

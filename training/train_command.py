@@ -96,21 +96,23 @@ def main(argv: list[str]) -> int:
     return 0
 
 
-def check_principal(text: str) -> tuple[str, ...]:
-    """The labels of `A,B,...`. Raises UsageError for those that cannot be principal markers."""
+def check_principal(text: str, option: str = "--principal") -> tuple[str, ...]:
+    """The labels of `A,B,...`. Raises UsageError for those that cannot be principal markers,
+    naming the option.
+    """
     labels = tuple(label.strip() for label in text.split(","))
     unknown = [label for label in labels if label not in MARKERS]
     if unknown:
-        raise UsageError(f"--principal: {', '.join(unknown)} not in the marker set")
+        raise UsageError(f"{option}: {', '.join(unknown)} not in the marker set")
     references = [label for label in labels if label in REFERENCES]
     if references:
         raise UsageError(
-            f"--principal: {', '.join(references)} are references, worn in any case: leave them out"
+            f"{option}: {', '.join(references)} are references, worn in any case: leave them out"
         )
     if len({*labels, *REFERENCES}) == len(MARKERS):
-        raise UsageError("--principal: no marker is left to be estimated")
+        raise UsageError(f"{option}: no marker is left to be estimated")
     if len(set(labels)) != len(labels):
-        raise UsageError("--principal: a marker is named twice")
+        raise UsageError(f"{option}: a marker is named twice")
     return labels
 
 

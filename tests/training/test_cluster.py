@@ -1,5 +1,6 @@
 """Training on a real Dask scheduler with two workers gives what this machine gives."""
 
+import json
 import os
 import subprocess
 import sys
@@ -57,6 +58,17 @@ def test_a_model_trained_on_the_cluster_is_the_same_to_the_byte(cluster, small_d
         assert main([*argv, *options]) == 0
         files.append(out.read_bytes())
     assert files[0] == files[1]
+
+
+def test_a_study_of_the_choice_is_the_same(cluster, small_dir, tmp_path):
+    found = []
+    for name, options in (("here", []), ("there", ["--cluster", cluster])):
+        out = tmp_path / f"{name}.json"
+        argv = ["select-markers", str(small_dir), "--runs", "30", "--compare", PAPER_SIX]
+        assert main([*argv, "--json", str(out), *options]) == 0
+        found.append(json.loads(out.read_text()))
+    assert found[0] == found[1]
+    assert len(found[0]["compared"]) == 2
 
 
 def test_a_scheduler_that_is_not_there_is_a_clear_error(monkeypatch):
