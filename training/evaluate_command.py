@@ -39,6 +39,7 @@ _COLUMNS = (
     ("rms_ratio", "RMS/NN", ".3f"),
     ("jerk_ratio", "jerk/NN", ".3f"),
 )
+HISTORIES = (0, 10, 20, 30, 60)  # frames of 1/120 s that a report tries
 MIN_LENGTH = 1.0  # s of a capture that calibration can be scored on
 _WIDTH = 140  # of the table in a pipe, where no terminal sets it
 
@@ -78,7 +79,7 @@ def main(argv: list[str]) -> int:
             raise DatasetError(f"{options.train}: no frame has all 41 markers")
         baseline = NearestNeighbour(poses, model.info)
     faults = faults_of(options)
-    results, plain = _scored(model, takes, baseline, options, errors, warn)
+    results, by_history = _scored(model, takes, baseline, options, errors, warn)
     found = report(results, model.info)
     if options.hide:
         hidden = evaluate_hidden(model, takes, options.hide, faults, options.seed)
@@ -103,7 +104,7 @@ def main(argv: list[str]) -> int:
             train=None if options.train is None else _name(options.train),
             command=command_line("evaluate", argv),
             results=results,
-            plain=plain,
+            by_history=by_history,
             shown=options.show or default_shown(results),
             left_out=left_out(warnings, (options.data, options.train)),
         )
@@ -122,9 +123,10 @@ def _scored(
     options: argparse.Namespace,
     errors: Console,
     warn: Warn,
-) -> tuple[list[Result], list[Result]]:
-    """The results of all takes; and for a report, those without the mixture over frames before."""
-    results, plain = [], []
+) -> tuple[list[Result], dict[int, list[Result]]]:
+    """The results of all takes; and for a report, those with other lengths of the history."""
+    results: list[Result] = []
+    by_history: dict[int, list[Result]] = {length: [] for length in HISTORIES}
     faults = faults_of(options)
     with progress(errors, sum(len(take.xyz) for take in takes)) as advance:
         for take in takes:
@@ -134,14 +136,15 @@ def _scored(
                     scored, adapted = _calibrated_on_its_start(model, take, options.calibrate)
                 results += evaluate(adapted, [scored], faults, options.seed, baseline)
                 if options.report is not None:
-                    unmixed = PoseEstimator(adapted, history=0)
-                    plain += score(unmixed, [scored], faults, options.seed)
+                    for length, found in by_history.items():
+                        estimator = PoseEstimator(adapted, history=length)
+                        found += score(estimator, [scored], faults, options.seed)
             except DatasetError as error:
                 warn(f"left out: {take.name}: {error}")
             advance(take.name, len(take.xyz))
     if not results:
         raise DatasetError(f"{options.data}: no capture is long enough to calibrate on")
-    return results, plain
+    return results, by_history
 
 
 def _check_shown(names: Sequence[str], takes: Sequence[Take]) -> None:

@@ -13,8 +13,8 @@ from drivers.errors import MarkerbridgeError, UsageError
 from drivers.marker_set import MARKERS
 from tests.training.test_report_page import check_page, read_table
 from training.dataset import load
-from training.evaluate_command import main
-from training.evaluation import GAMMA_EDGES, Scores, evaluate, score
+from training.evaluate_command import HISTORIES, main
+from training.evaluation import GAMMA_EDGES, Scores, evaluate, mean_scores, score
 from training.report import paper
 from training.report.body import body_figure
 from training.report.evaluation import default_shown, marker_errors
@@ -138,6 +138,17 @@ def test_jerky_frames_are_counted_at_transitions(made, model, takes):
             pytest.approx(100 * at_transitions.mean()) if len(at_transitions) else None
         )
     assert f"{threshold:.1f} mm per 1/120 s" in path.read_text()
+
+
+def test_histories_are_those_of_the_estimator(made, model, takes):
+    _, *rows = read_table(made[0].parent / "histories.csv")
+    tests = [take for take in takes if take.name == TEST]
+    assert [int(row[0]) for row in rows] == list(HISTORIES)
+    for length, *errors in (rows[0], rows[3]):
+        expected = mean_scores(score(PoseEstimator(model, history=int(length)), tests))
+        assert [float(cell) for cell in errors] == pytest.approx(
+            [expected.rms_mm, expected.jerk_mm, expected.roughness]
+        )
 
 
 def test_hostile_names_odd_captures_and_no_training_poses(small_dir, tmp_path, capsys):

@@ -40,9 +40,9 @@ class Run:
     """What was run on what.
 
     model, data, train: names of the file and the folders, the last None without a baseline.
-    command: the line that started it. results: of the model. plain: of the same captures without
-    the mixture over the frames before. shown: files to be drawn frame by frame. left_out: files
-    that could not be used, and why.
+    command: the line that started it. results: of the model. by_history: of the same captures,
+    mixed over so many frames of 1/120 s before the present one; 0 among them. shown: files to be
+    drawn frame by frame. left_out: files that could not be used, and why.
     """
 
     model: str
@@ -52,7 +52,7 @@ class Run:
     train: str | None
     command: str
     results: Sequence[Result]
-    plain: Sequence[Result]
+    by_history: Mapping[int, Sequence[Result]]
     shown: Sequence[str]
     left_out: Sequence[tuple[str, str]]
 
@@ -65,6 +65,7 @@ def evaluation_report(folder: Path, run: Run, found: Mapping[str, Any]) -> Repor
     _groups(report, run, found)
     _frame_by_frame(report, run)
     _transitions(report, run)
+    _histories(report, run)
     _by_marker(report, run, found)
     if "hidden" in found:
         _hidden(report, found["hidden"])
@@ -256,7 +257,7 @@ def _transitions(report: Report, run: Run) -> None:
         )
     report.section("Transitions between local models", *notes)
     titles = {
-        "without the mixture": run.plain,
+        "without the mixture": run.by_history[0],
         f"with the mixture over {run.info.history} frames": run.results,
     }
     frames = {title: _jerk_and_transition(results) for title, results in titles.items()}
@@ -288,6 +289,21 @@ def _transitions(report: Report, run: Run) -> None:
             "mean γ of others [mm per 1/120 s]",
         ),
         rows,
+    )
+
+
+def _histories(report: Report, run: Run) -> None:
+    report.section(
+        "Length of the history",
+        "The mixture weighs in the local models of h frames before the present one. The paper: "
+        "“h = 10-30 works very well” (3.4.2).",
+    )
+    means = {length: mean_scores(results) for length, results in run.by_history.items()}
+    report.table(
+        "histories",
+        f"Means over the sequences; h in frames of 1/120 s. The model's own is {run.info.history}.",
+        ("h", "RMS [mm]", "γ [mm per 1/120 s]", "roughness"),
+        [(length, m.rms_mm, m.jerk_mm, m.roughness) for length, m in means.items()],
     )
 
 
