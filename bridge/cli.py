@@ -37,6 +37,7 @@ EXTRAS = {
         "onnx",
         "pooch",
         "requests",
+        "scipy",
         "sklearn",
         "threadpoolctl",
         "urllib3",
@@ -77,6 +78,7 @@ def main(argv: list[str] | None = None) -> int:
         )
         return 1
     except KeyboardInterrupt:
+        print(f"markerbridge {chosen.command}: stopped", file=sys.stderr)
         return 130
 
 

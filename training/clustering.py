@@ -20,6 +20,7 @@ Indices = npt.NDArray[np.int64]
 
 VARIANCE = 0.95  # share of the features' variance that is kept
 BASIS = 2048  # segments that the features' scale and axes are learned from, at most
+_ROUNDING = 1e-9
 _BATCH = 256  # segments at a time: their features take 16 MB
 
 
@@ -100,7 +101,8 @@ class DivisiveKMeans(ClusterMixin, BaseEstimator):  # type: ignore[misc]
         """Groups the rows (S, D); `y` is not used."""
         rows = validate_data(self, X, dtype=np.float64)
         spread = np.sqrt(((rows - rows.mean(axis=0)) ** 2).sum(axis=1).mean())
-        self.limit_ = self.tolerance * float(spread)
+        # Below that, distances are rounding: copies of a row are one leaf.
+        self.limit_ = max(self.tolerance * float(spread), _ROUNDING * float(np.abs(rows).max()))
         # Depth first: (members, the halving above, which of its children).
         waiting: list[tuple[Indices, int, int]] = [(np.arange(len(rows)), -1, 0)]
         leaves: list[tuple[Indices, float, int, int]] = []

@@ -19,7 +19,7 @@ from joblib import Parallel, delayed
 from drivers.errors import MarkerbridgeError
 from drivers.frame import Floats, SourceError
 from drivers.marker_set import MARKERS
-from training.dataset import Capture, Warn, read_take
+from training.dataset import Capture, Warn, read_take, why_not
 from training.moments import COORDINATES, PACKED, moments_of
 from training.poses import body_poses
 from training.progress import Advance
@@ -130,7 +130,7 @@ def _cut(folder: Path, capture: Capture, recipe: Recipe, sparse: int) -> _Cut | 
     try:
         take = read_take(folder, capture)
     except SourceError as error:
-        return str(error)
+        return why_not(folder, capture, error)
     poses = body_poses(take.xyz)
     if len(poses) < MIN_FRAMES:
         return f"{capture.name}: fewer than {MIN_FRAMES} frames have all 41 markers"

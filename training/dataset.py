@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -99,9 +100,14 @@ def stream(folder: Path, chosen: Iterable[Capture], warn: Warn) -> Iterator[Take
         try:
             take = read_take(folder, capture)
         except SourceError as error:
-            warn(f"left out: {error}")
+            warn(f"left out: {why_not(folder, capture, error)}")
         else:
             yield take
+
+
+def why_not(folder: Path, capture: Capture, error: SourceError) -> str:
+    """`FILE: WHY`, the file as the folder has it."""
+    return f"{capture.name}: {str(error).removeprefix(f'{folder / capture.name}: ')}"
 
 
 def load(folder: Path, split: str | None, warn: Warn) -> list[Take]:
@@ -160,4 +166,7 @@ def _rows(folder: Path) -> Sequence[dict[str, str]]:
         raise DatasetError(f"{path}: not a readable table ({error})") from error
     if not rows or any(not row.get("file") for row in rows):
         raise DatasetError(f"{path}: needs a column 'file' with a name in every row")
+    twice = [name for name, count in Counter(row["file"] for row in rows).items() if count > 1]
+    if twice:
+        raise DatasetError(f"{path}: names {twice[0]} in more than one row")
     return sorted(rows, key=lambda row: row["file"])

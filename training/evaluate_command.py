@@ -20,14 +20,22 @@ from bridge.model import Model
 from drivers.errors import MarkerbridgeError, UsageError
 from drivers.options import checked, parse_seconds
 from simulators.fault_options import add_fault_options, faults_of
-from training.dataset import DatasetError, Take, Warn, load, load_training
+from training.dataset import (
+    Capture,
+    DatasetError,
+    Take,
+    captures,
+    no_captures,
+    stream,
+    training_captures,
+)
 from training.evaluation import Result, evaluate, report, score
 from training.hiding import evaluate_hidden, parse_hiding
 from training.missing_study import EXPERIMENTS, METHODS, STEPS, TITLES, missing_study
 from training.nearest_neighbour import NearestNeighbour
 from training.poses import body_poses
 from training.progress import progress
-from training.telling import command_line, left_out
+from training.telling import LEFT_OUT, Notices, command_line
 
 _COLUMNS = (
     ("rms_mm", "RMS mm", ".1f"),
@@ -41,19 +49,14 @@ _COLUMNS = (
 )
 HISTORIES = (0, 10, 20, 30, 60)  # frames of 1/120 s that a report tries
 MIN_LENGTH = 1.0  # s of a capture that calibration can be scored on
+_NAMED = 10  # captures that an error lists
 _WIDTH = 140  # of the table in a pipe, where no terminal sets it
 
 
 def main(argv: list[str]) -> int:
     """Runs the command. Raises MarkerbridgeError."""
     options = _parser().parse_args(argv)
-    errors = Console(stderr=True)
-    warnings: list[str] = []
-
-    def warn(text: str) -> None:
-        warnings.append(text)
-        errors.print(text, style="yellow", markup=False, highlight=False, soft_wrap=True)
-
+    notices = Notices()
     model = Model(options.model)
     if options.hide and options.hide.marker not in model.info.tracked:
         known = ", ".join(model.info.tracked)
@@ -69,24 +72,38 @@ def main(argv: list[str]) -> int:
         raise UsageError("--show chooses what a report draws: it needs --report DIR")
     if options.missing_study and options.train is None:
         raise UsageError("--missing-study compares with training poses: it needs --train DATA")
-    takes = load(options.data, options.split, warn)
-    _check_shown(options.show, takes)
+    chosen = captures(options.data, options.split)
+    _check_shown(options.show, chosen)
     baseline = poses = None
+    recalled = 0
     if options.train is not None:
-        parts = [body_poses(take.xyz) for take in load_training(options.train, warn)]
-        poses = np.concatenate(parts)
-        if not len(poses):
+        trained_on = training_captures(options.train)
+        recalled = _in_both(options.data, chosen, options.train, trained_on)
+        if recalled:
+            notices.warn(
+                f"{recalled} of the {len(chosen)} captures to be scored are among those of "
+                "--train: what was trained on is recalled, not estimated. Give some the split test "
+                "in manifest.csv, and write --split test"
+            )
+        taken = stream(options.train, trained_on, notices.warn)
+        parts = [body_poses(take.xyz) for take in taken]
+        if not any(map(len, parts)):
             raise DatasetError(f"{options.train}: no frame has all 41 markers")
+        poses = np.concatenate(parts)
+        del parts
         baseline = NearestNeighbour(poses, model.info)
     faults = faults_of(options)
-    results, by_history = _scored(model, takes, baseline, options, errors, warn)
+    results, by_history = _scored(model, chosen, baseline, options, notices)
     found = report(results, model.info)
+    takes = []
+    if options.hide or options.missing_study:
+        takes = list(stream(options.data, chosen, lambda _: None))  # what cannot be read was told
     if options.hide:
         hidden = evaluate_hidden(model, takes, options.hide, faults, options.seed)
         found["hidden"] = hidden.to_json()
     missing = []
     if options.missing_study and poses is not None:
-        with progress(errors, STEPS) as advance:
+        with progress(notices.console, STEPS) as advance:
             missing = missing_study(model, takes, poses, options.seed, advance)
         found["missing_study"] = [one.to_json() for one in missing]
     _print(found)
@@ -102,11 +119,12 @@ def main(argv: list[str]) -> int:
             leaves=model.leaves,
             data=_name(options.data),
             train=None if options.train is None else _name(options.train),
-            command=command_line("evaluate", argv),
+            recalled=recalled,
+            command=command_line("evaluate", argv, options),
             results=results,
             by_history=by_history,
             shown=options.show or default_shown(results),
-            left_out=left_out(warnings, (options.data, options.train)),
+            left_out=notices.left_out,
         )
         written = evaluation_report(options.report, run, found)
         if missing:
@@ -118,18 +136,17 @@ def main(argv: list[str]) -> int:
 
 def _scored(
     model: Model,
-    takes: Sequence[Take],
+    chosen: Sequence[Capture],
     baseline: NearestNeighbour | None,
     options: argparse.Namespace,
-    errors: Console,
-    warn: Warn,
+    notices: Notices,
 ) -> tuple[list[Result], dict[int, list[Result]]]:
-    """The results of all takes; and for a report, those with other lengths of the history."""
+    """The results of all captures; and for a report, those with other lengths of the history."""
     results: list[Result] = []
     by_history: dict[int, list[Result]] = {length: [] for length in HISTORIES}
     faults = faults_of(options)
-    with progress(errors, sum(len(take.xyz) for take in takes)) as advance:
-        for take in takes:
+    with progress(notices.console, len(chosen)) as advance:
+        for take in stream(options.data, chosen, notices.warn):
             scored, adapted = take, model
             try:
                 if options.calibrate:
@@ -140,18 +157,27 @@ def _scored(
                         estimator = PoseEstimator(adapted, history=length)
                         found += score(estimator, [scored], faults, options.seed)
             except DatasetError as error:
-                warn(f"left out: {take.name}: {error}")
-            advance(take.name, len(take.xyz))
+                notices.warn(f"{LEFT_OUT}{take.name}: {error}")
+            advance(take.name, 1)
+    if not results and options.calibrate:
+        raise DatasetError(f"{options.data}: no capture can be calibrated on")
     if not results:
-        raise DatasetError(f"{options.data}: no capture is long enough to calibrate on")
+        raise no_captures(options.data)
     return results, by_history
 
 
-def _check_shown(names: Sequence[str], takes: Sequence[Take]) -> None:
-    known = [take.name for take in takes]
+def _check_shown(names: Sequence[str], chosen: Sequence[Capture]) -> None:
+    known = [capture.name for capture in chosen]
     for name in names:
         if name not in known:
-            raise UsageError(f"--show: no {name} among the captures ({', '.join(known)})")
+            some = ", ".join(known[:_NAMED]) + (", …" if len(known) > _NAMED else "")
+            raise UsageError(f"--show: no {name} among the captures ({some})")
+
+
+def _in_both(data: Path, scored: Sequence[Capture], train: Path, used: Sequence[Capture]) -> int:
+    """How many of the captures scored are among those used for training."""
+    files = {(train / capture.name).resolve() for capture in used}
+    return sum((data / capture.name).resolve() in files for capture in scored)
 
 
 def _calibrated_on_its_start(model: Model, take: Take, longest: float) -> tuple[Take, Model]:
@@ -273,6 +299,8 @@ def _print_missing(console: Console, scores: Sequence[dict[str, Any]]) -> None:
                 for one in scores
                 if (one["experiment"], one["value"]) == (experiment, value)
             ]
+            if not cells:
+                continue  # more markers than are tracked
             table.add_row(TITLES[experiment] if value == values[0] else "", f"{value}", *cells)
         table.add_section()
     console.print(table)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import time
 import zlib
 from collections import defaultdict
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -98,7 +98,7 @@ class Result:
 
 def evaluate(
     model: Model,
-    takes: Sequence[Take],
+    takes: Iterable[Take],
     faults: Faults | None = None,
     seed: int = 0,
     baseline: NearestNeighbour | None = None,
@@ -109,7 +109,7 @@ def evaluate(
 
 def score(
     estimator: PoseEstimator,
-    takes: Sequence[Take],
+    takes: Iterable[Take],
     faults: Faults | None = None,
     seed: int = 0,
     baseline: NearestNeighbour | None = None,
@@ -137,7 +137,8 @@ def measured_markers(take: Take, info: ModelInfo, faults: Faults, seed: int) -> 
 def mean_scores(results: Sequence[Result]) -> Scores:
     """The mean over sequences of each score, those without it left out."""
     rows = [asdict(result.scores) for result in results]
-    return Scores(**{name: _mean([row[name] for row in rows]) for name in rows[0]})
+    names = [entry.name for entry in fields(Scores)]
+    return Scores(**{name: _mean([row[name] for row in rows]) for name in names})
 
 
 def grouped(results: Sequence[Result], group: Callable[[Result], str]) -> dict[str, list[Result]]:

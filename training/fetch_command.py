@@ -5,8 +5,6 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from rich.console import Console
-
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.errors import MarkerbridgeError, UsageError
 from drivers.marker_set import MARKERS
@@ -17,16 +15,13 @@ from training.download import DownloadError
 from training.fetch import CaptureFolder, FetchError, trials_of
 from training.manifest import read_rows, write_rows
 from training.progress import progress
+from training.telling import Notices
 
 
 def main(argv: list[str], clock: Clock = SYSTEM_CLOCK) -> int:
     """Runs the command. Raises MarkerbridgeError; UsageError for what cannot be meant."""
     options = _parser().parse_args(argv)
-    errors = Console(stderr=True)
-
-    def warn(text: str) -> None:
-        errors.print(text, style="yellow", markup=False, highlight=False, soft_wrap=True)
-
+    notices = Notices()
     folder = options.to
     if options.checksums is not None and not options.checksums.is_file():
         raise UsageError(f"--checksums {options.checksums}: no such file")
@@ -37,26 +32,25 @@ def main(argv: list[str], clock: Clock = SYSTEM_CLOCK) -> int:
     rows = read_rows(folder)
     captures = CaptureFolder(folder, options.site, options.checksums, clock)
 
-    trials, unlisted = _list_trials(options.site, options.subjects, clock, warn)
+    trials, unlisted = _list_trials(options.site, options.subjects, clock, notices.warn)
     fetched: list[Trial] = []
     try:
         try:
-            with progress(errors, len(trials)) as advance:
+            with progress(notices.console, len(trials)) as advance:
                 for trial in trials:
-                    if _fetch(captures, trial, warn):
+                    if _fetch(captures, trial, notices.warn):
                         fetched.append(trial)
                     advance(trial.file, 1)
         finally:  # after Ctrl-C too
             if fetched:
                 write_rows(folder, rows, map(_row, fetched))
+    except KeyboardInterrupt:
+        notices.say("the same command goes on from here")
+        raise
     except OSError as error:
         raise MarkerbridgeError(f"cannot write in {folder}: {error.strerror}") from error
-    errors.print(
-        f"{folder}: {len(fetched)} captures, described in {MANIFEST}",
-        markup=False,
-        highlight=False,
-        soft_wrap=True,
-    )
+    if fetched:
+        notices.say(f"{folder}: {len(fetched)} captures, described in {MANIFEST}")
     if unlisted or len(fetched) < len(trials):
         raise MarkerbridgeError(
             "not all could be had, see above: the same command again goes on from here"

@@ -12,11 +12,13 @@ MAX_FOLDS = 8
 
 @dataclass(frozen=True, slots=True)
 class Fold:
-    """name: who or what is left out. dropped: names of the captures that training must not see.
-    scored: the real ones among them, to score the model on.
+    """name: who or what is left out. people: it is performers, else only files. dropped: names of
+    the captures that training must not see. scored: the real ones among them, to score the model
+    on.
     """
 
     name: str
+    people: bool
     dropped: frozenset[str]
     scored: tuple[Capture, ...]
 
@@ -29,7 +31,8 @@ def leave_out(captures: Sequence[Capture]) -> list[Fold]:
     """
     real = [capture for capture in captures if capture.real]
     performers = sorted({capture.subject for capture in real} - {UNKNOWN})
-    if len(performers) > 1:
+    people = len(performers) > 1
+    if people:
         groups = [set(performers[part::MAX_FOLDS]) for part in range(MAX_FOLDS)]
         held = [[one for one in captures if one.subject in group] for group in groups]
         names = [", ".join(sorted(group)) for group in groups]
@@ -39,7 +42,12 @@ def leave_out(captures: Sequence[Capture]) -> list[Fold]:
     else:
         return []
     return [
-        Fold(name, frozenset(one.name for one in group), tuple(one for one in group if one.real))
+        Fold(
+            name,
+            people,
+            frozenset(one.name for one in group),
+            tuple(one for one in group if one.real),
+        )
         for name, group in zip(names, held, strict=True)
         if group
     ]

@@ -50,13 +50,15 @@ Mask = npt.NDArray[np.bool_]
 class MissingScore:
     """One point of a curve: errors in mm over the unworn markers, mean over sequences.
 
-    value: in the unit of the experiment (EXPERIMENTS). rms_missing_mm: over the frames that lack a
-    tracked marker. None where nothing is there to be scored.
+    value: in the unit of the experiment (EXPERIMENTS). missing_percent: the share of all samples
+    that was missing; captures being finite, not just what was asked for. rms_missing_mm: over the
+    frames that lack a tracked marker. None where nothing is there to be scored.
     """
 
     method: str
     experiment: str
     value: float
+    missing_percent: float
     rms_mm: float | None
     rms_missing_mm: float | None
     jerk_mm: float | None
@@ -80,7 +82,12 @@ def missing_study(
     scores = []
     for experiment, values in EXPERIMENTS.items():
         for value in values:
+            if experiment == NUMBER and value >= len(model.info.tracked):
+                advance(f"{TITLES[experiment]}: {value} are more than are tracked", 1)
+                continue
             measured = [lacking(take, model.info, experiment, value, seed) for take in takes]
+            samples = np.concatenate([np.isnan(lacks[..., 0]).ravel() for lacks in measured])
+            percent = 100 * float(samples.mean())
             for method, estimator in estimators.items():
                 errors = [
                     _errors(estimator, take, lacks)
@@ -89,7 +96,7 @@ def missing_study(
                 means = (
                     mean_known(np.array(column, float)) for column in zip(*errors, strict=True)
                 )
-                scores.append(MissingScore(method, experiment, value, *means))
+                scores.append(MissingScore(method, experiment, value, percent, *means))
             advance(f"{TITLES[experiment]}: {value}", 1)
     return scores
 

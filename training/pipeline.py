@@ -79,12 +79,16 @@ def train(
     model = loaded(fitted)
     accuracy: dict[str, Any] = {"folds": None, "test": None}
     if held:
-        accuracy["folds"] = {"mean": _told(mean_scores(held)), "left_out": left_out}
+        accuracy["folds"] = {
+            "mean": _told(mean_scores(held)),
+            "people": all(fold.people for fold in folds),
+            "left_out": left_out,
+        }
     if tests:
-        told = evaluate(model, list(stream(folder, tests, warn)))
+        told = evaluate(model, stream(folder, tests, warn))
         accuracy["test"] = _told(mean_scores(told)) if told else None
     # Without folds all there is to judge by is what was trained on.
-    judged = held or evaluate(model, list(stream(folder, _some(corpus.captures), warn)))
+    judged = held or evaluate(model, stream(folder, _some(corpus.captures), warn))
     inputs = columns_of(model.info.features)[: model.width]
     wrong = forest_error(forest_rows(corpus, fitted.leaves, inputs), recipe.forest, seed)
     advance("the model itself", FIT_WORK)
@@ -141,8 +145,7 @@ def _score_fold(
         return None
     model = loaded(fit(corpus, segments, principal, recipe, seed))
     used = {capture.name for capture in corpus.captures}
-    takes = [read_take(folder, capture) for capture in fold.scored if capture.name in used]
-    return evaluate(model, takes)
+    return evaluate(model, (read_take(folder, one) for one in fold.scored if one.name in used))
 
 
 def loaded(fitted: Fitted) -> Model:

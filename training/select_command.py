@@ -28,9 +28,9 @@ from training.progress import progress
 from training.recipe import RECIPES
 from training.selection_study import START_WORK, SelectionStudy, repeat_selection
 from training.set_comparison import SetScores, compare_sets
-from training.telling import command_line, left_out
+from training.telling import Notices, command_line
 from training.train_command import check_principal
-from training.workers import workers
+from training.workers import cluster_address, workers
 
 RUNS = 1000  # as the paper's
 RESTARTS = 10
@@ -51,13 +51,7 @@ def main(argv: list[str]) -> int:
         record = options.report / RECORD
     if options.json is not None and not options.json.parent.is_dir():
         raise MarkerbridgeError(f"cannot write {options.json}: no such folder")
-    errors = Console(stderr=True)
-    warnings: list[str] = []
-
-    def warn(text: str) -> None:
-        warnings.append(text)
-        errors.print(text, style="yellow", markup=False, highlight=False, soft_wrap=True)
-
+    notices = Notices()
     captures = training_captures(options.data)
     if not captures:
         raise no_captures(options.data)
@@ -65,16 +59,18 @@ def main(argv: list[str]) -> int:
     if manual and not folds:
         raise MarkerbridgeError(f"{options.data}: --compare needs more than one capture")
     recipe = RECIPES[options.estimator]
+    with workers(options.cluster):
+        pass  # whoever cannot be reached is told of before the work
     work = work_of(options.data, captures) + options.runs * options.restarts * START_WORK
     if manual:
         work += (1 + len(manual)) * len(folds) * FIT_WORK
     # One thread for linear algebra, as in `train`: the same data chooses the same markers.
-    with progress(errors, work) as advance, threadpool_limits(1):
+    with progress(notices.console, work) as advance, threadpool_limits(1):
         with workers(None):
-            corpus = read_corpus(options.data, captures, recipe, advance, warn)
+            corpus = read_corpus(options.data, captures, recipe, advance, notices.warn)
         covariance = candidate_covariance(corpus)
         chosen = select_markers(covariance, CANDIDATES, options.seed)
-        with _going_on_later(record, errors):
+        with _going_on_later(record, notices):
             with workers(options.cluster, covariance, processes=True):
                 runs = repeat_selection(
                     covariance,
@@ -109,26 +105,21 @@ def main(argv: list[str]) -> int:
             study,
             compared,
             corpus,
-            command_line("select-markers", argv),
-            left_out(warnings, (options.data,)),
+            command_line("select-markers", argv, options),
+            notices.left_out,
         ).write()
         Console().print(f"report: {page}", markup=False, highlight=False, soft_wrap=True)
     return 0
 
 
 @contextmanager
-def _going_on_later(record: Path | None, errors: Console) -> Iterator[None]:
+def _going_on_later(record: Path | None, notices: Notices) -> Iterator[None]:
     """On Ctrl-C says that the runs done so far are not lost, where they are kept."""
     try:
         yield
     except KeyboardInterrupt:
         if record is not None:
-            errors.print(
-                f"stopped: the runs done are kept in {record}, the same command goes on there",
-                markup=False,
-                highlight=False,
-                soft_wrap=True,
-            )
+            notices.say(f"the runs done are kept in {record}: the same command goes on there")
         raise
 
 
@@ -169,6 +160,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--seed", type=checked(seed), default=0, help="of all that is random (default: 0)")
     add(
         "--cluster",
+        type=checked(cluster_address),
         metavar="tcp://HOST:PORT",
         help="a Dask scheduler whose workers do the runs and the folds; they need this program "
         "and DATA at the same path",
@@ -206,7 +198,7 @@ def _print(study: SelectionStudy, compared: Sequence[SetScores]) -> None:
         sets.add_row(", ".join(markers), f"{100 * share:.1f}")
     console.print(sets)
     if compared:
-        scores = _table("people left out", "RMS mm", "all 41", "jerk mm")
+        scores = _table("on what is left out in turn", "RMS mm", "all 41", "jerk mm")
         for number, one in enumerate(compared):
             means = (one.mean.rms_mm, one.mean.rms_all_mm, one.mean.jerk_mm)
             scores.add_row(

@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from threadpoolctl import threadpool_limits
 
 from bridge.body_frame import REFERENCES
@@ -28,8 +27,8 @@ from training.folds import leave_out
 from training.pipeline import FIT_WORK, choose_principal, train
 from training.progress import progress
 from training.recipe import RECIPES
-from training.telling import command_line, left_out
-from training.workers import workers
+from training.telling import Notices, command_line
+from training.workers import cluster_address, workers
 
 
 def main(argv: list[str]) -> int:
@@ -41,14 +40,7 @@ def main(argv: list[str]) -> int:
         raise UsageError(f"--out {options.out}: the name of a model file ends in .onnx")
     if not options.out.parent.is_dir():
         raise MarkerbridgeError(f"cannot write {options.out}: no such folder")
-    errors = Console(stderr=True)
-
-    warnings: list[str] = []
-
-    def warn(text: str) -> None:
-        warnings.append(text)
-        errors.print(text, style="yellow", markup=False, highlight=False, soft_wrap=True)
-
+    notices = Notices()
     if options.report is not None:
         from training.report.page import make_folder
 
@@ -62,13 +54,17 @@ def main(argv: list[str]) -> int:
     tests = captures_of(options.data, TEST) if TEST in manifest_splits(options.data) else []
     folds = leave_out(captures) if options.folds else []
     if not folds:
-        warn("no folds: the accuracy in the model file is that on its own training captures")
+        notices.warn(
+            "no folds: the accuracy in the model file is that on its own training captures"
+        )
+    with workers(options.cluster):
+        pass  # whoever cannot be reached is told of before the work
     work = work_of(options.data, captures) + (len(folds) + 1) * FIT_WORK
     # One thread for linear algebra: the matrices are small, and the sums do not depend on the
     # machine's cores.
-    with progress(errors, work) as advance, threadpool_limits(1):
+    with progress(notices.console, work) as advance, threadpool_limits(1):
         with workers(None):
-            corpus = read_corpus(options.data, captures, recipe, advance, warn)
+            corpus = read_corpus(options.data, captures, recipe, advance, notices.warn)
         principal = wish or choose_principal(corpus, options.seed)
         with workers(options.cluster, corpus):
             fitted = train(
@@ -80,19 +76,19 @@ def main(argv: list[str]) -> int:
                 recipe,
                 options.seed,
                 advance,
-                warn,
+                notices.warn,
             )
     used = fitted.info.training | {"data": digest(options.data, corpus.captures)}
     info = replace(fitted.info, training=used)
     content = to_onnx(fitted.graph, info)
-    told = command_line("train", argv)
+    told = command_line("train", argv, options)
     record = _record(told, info, len(content), time.monotonic() - start)
     _write(options.out, content)
     _write(options.out.with_suffix(".json"), record.encode())
     if options.report is not None:
-        page = _report(options, told, corpus, fitted.leaves, info, warnings)
-        errors.print(f"report: {page}", markup=False, highlight=False, soft_wrap=True)
-    _summarise(errors, options.out, info, len(content))
+        page = _report(options, told, corpus, fitted.leaves, info, notices.left_out)
+        notices.say(f"report: {page}")
+    _summarise(notices, options.out, info, len(content))
     return 0
 
 
@@ -152,6 +148,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     add(
         "--cluster",
+        type=checked(cluster_address),
         metavar="tcp://HOST:PORT",
         help="a Dask scheduler whose workers do the folds and the forest; they need this program "
         "and DATA at the same path",
@@ -194,7 +191,7 @@ def _report(
     corpus: Corpus,
     leaves: Leaves,
     info: ModelInfo,
-    warnings: Sequence[str],
+    without: Sequence[tuple[str, str]],
 ) -> Path:
     from training.report.page import Report  # matplotlib takes a second to load
     from training.report.training import add_training
@@ -202,7 +199,6 @@ def _report(
     report = Report(
         options.report, f"Training of {options.out.name} on {options.data.resolve().name}"
     )
-    without = left_out(warnings, (options.data,))
     add_training(report, told, corpus, leaves, info, without)
     return report.write()
 
@@ -216,13 +212,12 @@ def _write(path: Path, content: bytes) -> None:
         raise MarkerbridgeError(f"cannot write {path}: {error.strerror}") from error
 
 
-def _summarise(console: Console, path: Path, info: ModelInfo, size: int) -> None:
+def _summarise(notices: Notices, path: Path, info: ModelInfo, size: int) -> None:
+    folds, test = info.accuracy["folds"], info.accuracy["test"]
+    left_out = "people left out" if folds and folds["people"] else "files left out"
     reached = [
         f"{what} {scores['rms_mm']:.1f} mm RMS"
-        for what, scores in (
-            ("people left out", (info.accuracy["folds"] or {}).get("mean")),
-            ("test split", info.accuracy["test"]),
-        )
+        for what, scores in ((left_out, folds and folds["mean"]), ("test split", test))
         if scores and scores["rms_mm"] is not None
     ]
     lines = (
@@ -231,4 +226,4 @@ def _summarise(console: Console, path: Path, info: ModelInfo, size: int) -> None
         *reached,
     )
     for line in lines:
-        console.print(line, markup=False, highlight=False, soft_wrap=True)
+        notices.say(line)

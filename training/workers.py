@@ -7,6 +7,7 @@ thread (`single_threaded`), since sums depend on how they are split.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import wraps
@@ -21,6 +22,13 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 CONNECT = 10  # s to wait for the scheduler
+
+
+def cluster_address(text: str) -> str:
+    """`tcp://HOST:PORT` of a Dask scheduler, as an option. Raises ValueError."""
+    if not re.fullmatch(r"(tcp|tls)://[^\s:/]+:\d+", text):
+        raise ValueError(f"'{text}' is no address of a Dask scheduler: write tcp://HOST:PORT")
+    return text
 
 
 @contextmanager

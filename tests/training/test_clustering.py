@@ -50,7 +50,15 @@ def test_all_within_tolerance_is_one_leaf():
 
 
 def test_equal_rows_are_one_leaf():
-    assert divide(np.ones((10, 3)), 0.5, seed=0).tolist() == [0] * 10
+    for row in ([1.0, 1.0, 1.0], [0.1, 0.1, 0.1], np.random.default_rng(3).normal(size=9)):
+        for count in (2, 6, 7, 13):
+            assert divide(np.tile(row, (count, 1)), 0.5, seed=0).tolist() == [0] * count
+
+
+def test_copies_of_a_segment_are_one_leaf():
+    moments = moments_of(poses_of(np.random.default_rng(11), 50))
+    for count in (5, 13, 14, 18):
+        assert divide(features_of([moments] * count, 0.5).rows, 0.5, seed=0).max() == 0
 
 
 def test_leaves_are_numbered_in_order_of_first_rows():

@@ -96,6 +96,9 @@ def test_nothing_to_work_on_is_a_clear_error(tmp_path):
     manifest(tmp_path, "name,who", "a.c3d,ann")
     with pytest.raises(DatasetError, match="column 'file'"):
         load(tmp_path, None, print)
+    manifest(tmp_path, "file,who", "a.c3d,ann", "b.c3d,bob", "a.c3d,ann")
+    with pytest.raises(DatasetError, match=r"names a\.c3d in more than one row"):
+        load(tmp_path, None, print)
     (tmp_path / "manifest.csv").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(DatasetError, match="not a readable table"):
         load(tmp_path, None, print)

@@ -200,6 +200,17 @@ def test_what_the_model_says_of_its_training(says, model, small_dir, tmp_path):
         assert (text in page.text) is not says
 
 
+def test_captures_that_were_trained_on_are_told_of(small_dir, tmp_path, capsys):
+    argv = ["default", str(small_dir), "--train", str(small_dir)]
+    assert main([*argv, "--report", str(tmp_path / "report")]) == 0
+    told = "4 of the 5 captures to be scored are among those of --train"
+    assert told in capsys.readouterr().err
+    page = check_page(tmp_path / "report/index.html")
+    assert "4 of the captures scored are among the training captures" in page.text
+    assert main([*argv, "--split", "test"]) == 0
+    assert "among those of --train" not in capsys.readouterr().err
+
+
 def test_show_chooses_the_sequences(small_dir, tmp_path):
     for name, source in (("a.c3d", TEST), ("b.c3d", "real/07_01.c3d"), ("c.c3d", TEST)):
         (tmp_path / "data").mkdir(exist_ok=True)

@@ -13,7 +13,7 @@ from drivers.errors import MarkerbridgeError
 from drivers.frame import Layout
 from tests.training.cmu_site import FILES, MOTIONS, serving
 from training.dataset import load
-from training.download import WAITS, download
+from training.download import WAITS, DownloadError, download
 from training.fetch_command import main
 
 
@@ -208,8 +208,16 @@ def test_a_server_that_is_not_there(site, folder, capsys):
         fetch(site, folder, subjects="02", clock=clock)
     told = capsys.readouterr().err
     assert f"{site.url}/search.php?subjectnumber=2: no connection (4 tries)" in told
+    assert "captures, described" not in told
     assert clock.now() == sum(WAITS)
     assert not list(folder.iterdir())
+
+
+def test_what_does_not_end_is_given_up(site, tmp_path):
+    part = tmp_path / "part"
+    with pytest.raises(DownloadError, match="more than 50,000 bytes, and no end"):
+        download(f"{site.url}/subjects/02/02_03.c3d", part, VirtualClock(), largest=50_000)
+    assert part.stat().st_size < 50_000 + 2**17
 
 
 def test_an_unsafe_connection_is_not_tried_again(site, folder, capsys):

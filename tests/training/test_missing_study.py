@@ -155,6 +155,12 @@ def test_the_bridge_is_scored_as_the_bridge_is_evaluated(model, short, study) ->
         assert (score.rms_mm, score.jerk_mm) == (result.scores.rms_mm, result.scores.jerk_mm)
 
 
+def test_the_share_that_was_missing_is_told(model, study, short) -> None:
+    for score in study:
+        measured = lacking(short, model.info, score.experiment, score.value, 0)
+        assert score.missing_percent == pytest.approx(100 * np.isnan(measured[:, :, 0]).mean())
+
+
 def test_there_is_a_row_for_each_and_the_methods_differ(study) -> None:
     rows = [(score.experiment, score.value, score.method) for score in study]
     assert rows == [
@@ -193,7 +199,7 @@ def test_the_report_has_a_curve_for_each_method(study, tmp_path) -> None:
     report.write()
     with (tmp_path / "missing_scores.csv").open(newline="") as file:
         _, *rows = csv.reader(file)
-    assert [float(row[3]) for row in rows] == [one.rms_mm for one in study]
+    assert [float(row[4]) for row in rows] == [one.rms_mm for one in study]
     assert (tmp_path / "missing.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -215,6 +221,7 @@ def test_the_command_prints_and_writes_the_study(data_dir, small_dir, tmp_path, 
         "method": "bridge",
         "experiment": "number",
         "value": 0,
+        "missing_percent": found["missing_study"][0]["missing_percent"],
         "rms_mm": pytest.approx(found["mean"]["rms_mm"]),
         "rms_missing_mm": found["missing_study"][2]["rms_missing_mm"],
         "jerk_mm": pytest.approx(found["mean"]["jerk_mm"]),

@@ -1,5 +1,6 @@
 import hashlib
 import json
+import shutil
 import subprocess
 import sys
 
@@ -118,6 +119,33 @@ def test_captures_without_whole_poses_are_left_out_by_name(small_dir, tmp_path, 
     assert Model(out).info.training["sequences"] == 1
 
 
+def test_a_fold_with_nothing_to_score_is_left_out(small_dir, tmp_path, capsys):
+    folder = tmp_path / "data"
+    folder.mkdir()
+    for name in ("02_01", "07_01", "16_07"):
+        shutil.copy(small_dir / f"real/{name}.c3d", folder)
+    (folder / "05_01.c3d").write_text("no capture")
+    out = tmp_path / "m.onnx"
+    assert main([str(folder), "--out", str(out), "--principal", PAPER_SIX]) == 0
+    assert "without 05: nothing to score" in capsys.readouterr().err
+    folds = Model(out).info.accuracy["folds"]
+    assert set(folds["left_out"]) == {"02", "07", "16"}
+    assert folds["people"]
+
+
+def test_folds_of_files_are_not_said_to_be_of_people(small_dir, tmp_path, capsys):
+    folder = tmp_path / "data"
+    folder.mkdir()
+    shutil.copy(small_dir / "real/02_01.c3d", folder / "walk.c3d")
+    shutil.copy(small_dir / "real/16_07.c3d", folder / "jump.c3d")
+    out = tmp_path / "m.onnx"
+    argv = [str(folder), "--out", str(out), "--principal", PAPER_SIX]
+    assert main([*argv, "--report", str(tmp_path / "page")]) == 0
+    assert "files left out" in capsys.readouterr().err
+    assert not Model(out).info.accuracy["folds"]["people"]
+    assert "Files left out" in (tmp_path / "page/index.html").read_text()
+
+
 def test_a_fold_drops_all_that_is_known_of_its_performer(data_dir):
     takes = training_captures(data_dir)
     by_name = {take.name: take for take in takes}
@@ -160,6 +188,7 @@ def test_other_wrong_usage(small_dir, tmp_path, capsys):
         [str(small_dir), "--out", out, "--estimator", "magic"],
         [str(small_dir), "--out", out, "--history", "-1"],
         [str(small_dir), "--out", out, "--history", "9999"],
+        [str(small_dir), "--out", out, "--cluster", "http://somewhere"],
     ):
         with pytest.raises(SystemExit) as leaving:
             main(wrong)

@@ -40,9 +40,10 @@ class Run:
     """What was run on what.
 
     model, data, train: names of the file and the folders, the last None without a baseline.
-    command: the line that started it. results: of the model. by_history: of the same captures,
-    mixed over so many frames of 1/120 s before the present one; 0 among them. shown: files to be
-    drawn frame by frame. left_out: files that could not be used, and why.
+    recalled: how many of the captures scored are among those of `train`. command: the line that
+    started it. results: of the model. by_history: of the same captures, mixed over so many frames
+    of 1/120 s before the present one; 0 among them. shown: files to be drawn frame by frame.
+    left_out: files that could not be used, and why.
     """
 
     model: str
@@ -50,6 +51,7 @@ class Run:
     leaves: int
     data: str
     train: str | None
+    recalled: int
     command: str
     results: Sequence[Result]
     by_history: Mapping[int, Sequence[Result]]
@@ -114,6 +116,14 @@ def _what_was_run(report: Report, run: Run) -> None:
             f"searches the training poses of {run.train}" if run.train else "not run",
         ),
     ]
+    if run.recalled:
+        rows.append(
+            (
+                "careful",
+                f"{run.recalled} of the captures scored are among the training captures of "
+                f"{run.train}: their errors are of what is recalled, not estimated",
+            )
+        )
     report.table("run", "The run.", ("what", "value"), rows)
     if run.left_out:
         report.table("left_out", "What was left out, and why.", ("what", "why"), run.left_out)

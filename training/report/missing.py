@@ -34,8 +34,9 @@ def add_missing(report: Report, scores: Sequence[MissingScore]) -> None:
         "Errors over the unworn markers, mean over the sequences, when tracked markers are missing "
         "and are filled in in different ways; all of them get the same samples.",
         f"So many markers at once, drawn at random, are hidden for {HIDDEN:g} s and then seen for "
-        f"as long; gaps of one length take {100 * GAP_SHARE:.0f} % of each marker's samples; or "
-        "single samples are dropped.",
+        f"as long; gaps of one length take about {100 * GAP_SHARE:.0f} % of each marker's samples "
+        "(the table has the share: long gaps in short captures vary); or single samples are "
+        "dropped.",
         "The conditional Gaussian fills in each frame for itself; the bridge adds what it was off "
         "by when the marker went missing, and lets that fade. Temporal: a marker goes on at its "
         f"velocity in the body frame, which fades in {DAMPING:g} s. Proximities: the mean of "
@@ -50,11 +51,20 @@ def add_missing(report: Report, scores: Sequence[MissingScore]) -> None:
     report.table(
         "missing_scores",
         "The same as numbers; RMS also over the frames alone that lack a marker.",
-        ("experiment", "value", "method", "RMS mm", "RMS mm where missing", "jerk mm"),
+        (
+            "experiment",
+            "value",
+            "missing [%]",
+            "method",
+            "RMS [mm]",
+            "RMS where missing [mm]",
+            "γ [mm per 1/120 s]",
+        ),
         [
             (
                 TITLES[one.experiment],
                 one.value,
+                one.missing_percent,
                 one.method,
                 one.rms_mm,
                 one.rms_missing_mm,
@@ -77,11 +87,13 @@ def missing_figure(scores: Sequence[MissingScore]) -> Figure:
                 axes.axhline(level, color=PAPER, linestyle="--", linewidth=1)
             for method, (label, colour, sign) in _LINES.items():
                 curve = [
-                    getattr(one, name)
+                    (one.value, getattr(one, name))
                     for one in scores
                     if (one.method, one.experiment) == (method, experiment)
                 ]
-                axes.plot(values, curve, color=colour, marker=sign, markersize=4, label=label)
+                axes.plot(
+                    *zip(*curve, strict=True), color=colour, marker=sign, markersize=4, label=label
+                )
             axes.set_xscale("log" if experiment == GAP else "linear")
             axes.set_xticks(values, labels=[f"{value:g}" for value in values])
             axes.minorticks_off()

@@ -6,6 +6,7 @@ import csv
 import io
 import math
 import re
+import tempfile
 import warnings
 from base64 import b64encode
 from collections.abc import Sequence
@@ -16,9 +17,9 @@ from pathlib import Path
 
 import jinja2
 import matplotlib
-from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.rcsetup import cycler
 
 from drivers.errors import MarkerbridgeError
 from drivers.files import whole_file
@@ -152,9 +153,10 @@ class Report:
 
 
 def make_folder(folder: Path) -> None:
-    """Makes the folder of a report. Raises MarkerbridgeError where that cannot be."""
+    """Makes the folder of a report. Raises MarkerbridgeError where nothing can be written there."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
         raise MarkerbridgeError(f"no report in {folder}: {error.strerror}") from error
 

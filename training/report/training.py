@@ -406,8 +406,9 @@ def _forest(report: Report, info: ModelInfo) -> None:
     report.section(
         "Forest",
         "How often the random forest names the wrong leaf. The paper does not say which poses its "
-        "figure is of. Poses held out at random have neighbours in training, 1/30 s away; whole "
-        "segments held out are new motion. A leaf whose only segment is held out cannot be named, "
+        "figure is of. Poses held out at random have neighbours in training, "
+        f"{_step_ms(info):.0f} ms away or a little more; whole segments held out are new motion. "
+        "A leaf whose only segment is held out cannot be named, "
         "so the error is given without those, too. What counts in the end is the error of the "
         "estimate: neighbouring leaves have similar maps.",
     )
@@ -427,19 +428,32 @@ def _forest(report: Report, info: ModelInfo) -> None:
     )
 
 
+def _step_ms(info: ModelInfo) -> float:
+    """Between the poses of a capture that the forest is grown on."""
+    return 1000 * float(info.training["recipe"]["forest_step"])
+
+
 def _folds(report: Report, info: ModelInfo) -> None:
     folds: dict[str, Any] | None = info.accuracy["folds"]
     if not folds:
         return
-    report.section(
-        "Performers left out",
-        "The real captures of each performer, estimated by a model trained without that person. "
-        "The paper has no such figure: 14 of the 18 people of its test set were in its training.",
-    )
+    if folds["people"]:
+        report.section(
+            "Performers left out",
+            "Real captures, estimated by models trained without any of the performers in the row. "
+            "The paper has no such figure: 14 of the 18 people of its test set were in its "
+            "training.",
+        )
+    else:
+        report.section(
+            "Files left out",
+            "Fewer than two performers are known, so files were left out in turn; the model may "
+            "know the same person from another file.",
+        )
     names = ("rms_mm", "rms_all_mm", "jerk_mm", "roughness")
     report.table(
         "folds",
-        "Errors on performers left out, over the markers that nobody wears.",
+        "Errors on what was left out, over the markers that nobody wears.",
         ("left out", "RMS (mm)", "RMS of all 41 (mm)", "velocity error (mm/frame)", "roughness"),
         [
             *((who, *(scores[n] for n in names)) for who, scores in folds["left_out"].items()),
