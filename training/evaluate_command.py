@@ -11,9 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.box import SIMPLE
 from rich.console import Console
-from rich.table import Table
 
 from bridge.estimator import PoseEstimator
 from bridge.model import Model
@@ -30,27 +28,17 @@ from training.dataset import (
     training_captures,
 )
 from training.evaluation import Result, evaluate, report, score
+from training.evaluation_table import print_evaluation
 from training.hiding import evaluate_hidden, parse_hiding
-from training.missing_study import EXPERIMENTS, METHODS, STEPS, TITLES, missing_study
+from training.missing_study import STEPS, missing_study
 from training.nearest_neighbour import NearestNeighbour
 from training.poses import body_poses
 from training.progress import progress
 from training.telling import LEFT_OUT, Notices, command_line
 
-_COLUMNS = (
-    ("rms_mm", "RMS mm", ".1f"),
-    ("rms_all_mm", "all 41", ".1f"),
-    ("jerk_mm", "jerk mm", ".2f"),
-    ("roughness", "rough", ".2f"),
-    ("nn_rms_mm", "NN RMS", ".1f"),
-    ("nn_jerk_mm", "NN jerk", ".2f"),
-    ("rms_ratio", "RMS/NN", ".3f"),
-    ("jerk_ratio", "jerk/NN", ".3f"),
-)
 HISTORIES = (0, 10, 20, 30, 60)  # frames of 1/120 s that a report tries
 MIN_LENGTH = 1.0  # s of a capture that calibration can be scored on
 _NAMED = 10  # captures that an error lists
-_WIDTH = 140  # of the table in a pipe, where no terminal sets it
 
 
 def main(argv: list[str]) -> int:
@@ -106,7 +94,7 @@ def main(argv: list[str]) -> int:
         with progress(notices.console, STEPS) as advance:
             missing = missing_study(model, takes, poses, options.seed, advance)
         found["missing_study"] = [one.to_json() for one in missing]
-    _print(found)
+    print_evaluation(found)
     if options.json is not None:
         _write_json(options.json, found)
     if options.report is not None:
@@ -240,78 +228,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     add("--json", type=Path, metavar="FILE", help="writes the figures there as well")
     return parser
-
-
-def _print(found: dict[str, Any]) -> None:
-    table = Table(box=SIMPLE, pad_edge=False)
-    table.add_column("sequence", overflow="fold")
-    for title in ("frames", *(title for _, title, _ in _COLUMNS)):
-        table.add_column(title, justify="right", no_wrap=True)
-    for row in found["sequences"]:
-        table.add_row(row["file"], str(row["frames"]), *_cells(row))
-    table.add_section()
-    total = sum(row["frames"] for row in found["sequences"])
-    table.add_row("mean", str(total), *_cells(found["mean"]), style="bold")
-    console = Console()
-    if not console.is_terminal:
-        console.width = _WIDTH
-    console.print(table)
-    within = [found["sigma"][f"within_{n}"]["mean"] for n in (1, 2)]
-    if None not in within:
-        one, two = (f"{100 * share:.0f} %" for share in within)
-        console.print(
-            f"coordinate errors within one sigma: {one}, within two: {two}", highlight=False
-        )
-    hidden = found.get("hidden")
-    if hidden:
-        _print_hidden(console, hidden)
-    if "missing_study" in found:
-        _print_missing(console, found["missing_study"])
-    latency = found["latency_us"]
-    if latency["p50"] is not None:
-        console.print(
-            f"one frame takes {latency['p50']:.0f} µs (p50), {latency['p99']:.0f} µs (p99)",
-            highlight=False,
-        )
-
-
-def _print_hidden(console: Console, hidden: dict[str, Any]) -> None:
-    if hidden["too_short"]:
-        console.print(f"too short to hide a marker in: {', '.join(hidden['too_short'])}")
-    if hidden["error_mm"] is not None:
-        console.print(
-            f"{hidden['marker']} hidden for {hidden['age_s']:g} s: "
-            f"{hidden['error_mm']:.0f} mm off, RMS over the unworn markers "
-            f"{hidden['unworn_rms_mm']:.1f} mm ({hidden['windows']} times)",
-            highlight=False,
-        )
-
-
-def _print_missing(console: Console, scores: Sequence[dict[str, Any]]) -> None:
-    table = Table(box=SIMPLE, pad_edge=False, title="RMS mm (jerk mm) with tracked markers missing")
-    table.add_column("what is missing")
-    for title in ("", *METHODS):
-        table.add_column(title, justify="right", no_wrap=True)
-    for experiment, values in EXPERIMENTS.items():
-        for value in values:
-            cells = [
-                f"{_cell(one['rms_mm'], '.1f')} ({_cell(one['jerk_mm'], '.2f')})"
-                for one in scores
-                if (one["experiment"], one["value"]) == (experiment, value)
-            ]
-            if not cells:
-                continue  # more markers than are tracked
-            table.add_row(TITLES[experiment] if value == values[0] else "", f"{value}", *cells)
-        table.add_section()
-    console.print(table)
-
-
-def _cells(row: dict[str, float | None]) -> Sequence[str]:
-    return [_cell(row[name], form) for name, _, form in _COLUMNS]
-
-
-def _cell(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)
 
 
 def _name(path: Path) -> str:

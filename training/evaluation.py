@@ -117,7 +117,7 @@ def score(
     """Scores an estimator on each take."""
     info = estimator.model.info
     return [
-        _score_one(
+        score_take(
             estimator, take, measured_markers(take, info, faults or Faults(), seed), baseline
         )
         for take in takes
@@ -211,10 +211,15 @@ def report(results: Sequence[Result], info: ModelInfo) -> dict[str, Any]:
     }
 
 
-def _score_one(
-    estimator: PoseEstimator, take: Take, measured: Floats, baseline: NearestNeighbour | None
+def score_take(
+    estimator: PoseEstimator,
+    take: Take,
+    measured: Floats,
+    baseline: NearestNeighbour | None = None,
 ) -> Result:
-    """measured: (N, T, 3) metres, the tracked markers as they reach the estimator."""
+    """Scores an estimator on one take. measured: (N, T, 3) metres, the tracked markers as they
+    reach it.
+    """
     info = estimator.model.info
     labels = [MARKERS.index(label) for label in info.labels]
     unworn = [info.labels.index(label) for label in info.unworn]

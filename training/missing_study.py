@@ -16,12 +16,12 @@ import numpy.typing as npt
 from bridge.estimator import PoseEstimator
 from bridge.imputation import ConditionalGaussian, Imputation, Imputer
 from bridge.model import Model, ModelInfo
-from drivers.frame import Floats, Layout, MarkerFrame
+from drivers.frame import Floats
 from drivers.marker_set import MARKERS
 from simulators.corruption import Faults, Gaps
 from training.dataset import Take
-from training.evaluation import measured_markers
-from training.metrics import frame_rms, jerk, mean_known
+from training.evaluation import measured_markers, score_take
+from training.metrics import mean_known
 from training.progress import Advance
 from training.proximity import ProximityImputer, spread_evenly
 
@@ -138,18 +138,10 @@ def _errors(
     estimator: PoseEstimator, take: Take, measured: Floats
 ) -> tuple[float | None, float | None, float | None]:
     """RMS, RMS where a marker is missing, and jerkiness, mm."""
-    info = estimator.model.info
-    layout = Layout(info.tracked, take.rate)
-    unworn = [info.labels.index(label) for label in info.unworn]
-    truth: Floats = take.xyz[:, [MARKERS.index(label) for label in info.unworn]]
-    estimate = np.empty_like(truth)
-    estimator.reset()
-    for index, xyz in enumerate(measured):
-        t = index / take.rate
-        estimate[index] = estimator.step(MarkerFrame(index, t, t, layout, xyz)).xyz[unworn]
-    errors = frame_rms(estimate, truth)
+    result = score_take(estimator, take, measured)
     lacks = np.isnan(measured).any(axis=(1, 2))
-    return mean_known(errors), mean_known(errors[lacks]), jerk(estimate, truth, take.rate)
+    where_missing = mean_known(result.trace.rms[lacks])
+    return result.scores.rms_mm, where_missing, result.scores.jerk_mm
 
 
 class ConditionalMean:

@@ -18,8 +18,8 @@ class Recipe:
     learned the other way round as well. covariance_weight: w of the segment features. tolerance:
     see `DivisiveKMeans`. forest_step: seconds between the frames that the forest is trained on,
     neighbours being all but equal. forest_rows: about how many frames that is at most, mirror
-    images apart, which bounds the size of the model; of more captures, fewer of each are taken. noise: metres. history:
-    frames of 1/120 s.
+    images apart, which bounds the size of the model; of more captures, fewer of each are taken.
+    noise: metres. history: frames of 1/120 s.
     """
 
     plain: bool

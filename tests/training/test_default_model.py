@@ -55,6 +55,16 @@ def test_it_is_small_and_says_who_it_is(model):
     assert model.info.estimator == "local"
 
 
+def test_it_says_what_reports_tell_of_its_training(model):
+    """Who is known to it, and how well its forest does."""
+    training = model.info.training
+    assert {"02", "07", "16", "85", "bd"} <= set(training["performers"])
+    assert "unknown" not in training["performers"]
+    wrong = training["forest_error"]
+    assert 0 < wrong["frames"] < wrong["segments_known"] <= wrong["segments"] < 1
+    assert model.info.accuracy["folds"]["people"]
+
+
 def test_its_record_is_that_of_this_file(model):
     record = json.loads((MODELS / "default.json").read_text())
     assert record["training"] == model.info.training
