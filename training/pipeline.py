@@ -125,6 +125,7 @@ def score_folds(
     """For each fold in turn, by the workers in force: the scores of the performers left out, from a
     model trained without them; None where nothing is left to train on.
     """
+    folder = folder.resolve()  # a worker elsewhere has another current folder
     results: Iterator[list[Result] | None] = Parallel(return_as="generator")(
         delayed(_score_fold)(corpus, folder, fold, principal, recipe, seed) for fold in folds
     )

@@ -11,7 +11,8 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import wraps
-from typing import ParamSpec, TypeVar
+from importlib.metadata import version
+from typing import Any, ParamSpec, TypeVar
 
 from joblib import parallel_config
 from threadpoolctl import threadpool_limits
@@ -37,7 +38,7 @@ def workers(cluster: str | None, *shared: object, processes: bool = False) -> It
 
     shared: large arguments that many tasks take; each worker is sent them once. processes: on this
     machine, for work that threads would do one after the other. Raises MarkerbridgeError where the
-    scheduler does not answer or has no workers.
+    scheduler does not answer, has no workers, or one of them lacks this program.
     """
     if cluster is None:
         with parallel_config(backend="loky" if processes else "threading", n_jobs=-1):
@@ -52,13 +53,39 @@ def workers(cluster: str | None, *shared: object, processes: bool = False) -> It
             f"--cluster {cluster}: no Dask scheduler answers there ({error})"
         ) from error
     with client:
-        if not client.scheduler_info()["workers"]:
-            raise MarkerbridgeError(
-                f"--cluster {cluster}: the scheduler has no workers: start some with "
-                f"`dask worker {cluster}`"
-            )
+        _check(client, cluster)
         with parallel_config(backend="dask", n_jobs=-1, client=client, scatter=list(shared)):
             yield
+
+
+def _check(client: Any, cluster: str) -> None:
+    """That there are workers, and that they have this program: else work would never come back."""
+
+    def installed() -> str:  # nested, so that it is sent as it is and not by its name
+        from importlib.metadata import version
+
+        import training.pipeline  # noqa: F401
+
+        return version("markerbridge")
+
+    try:
+        found = client.run(installed)
+    except ImportError as error:
+        raise MarkerbridgeError(
+            f"--cluster {cluster}: a worker there lacks this program: "
+            f"pip install 'markerbridge[train,cluster]' ({error})"
+        ) from error
+    if not found:
+        raise MarkerbridgeError(
+            f"--cluster {cluster}: the scheduler has no workers: start some with "
+            f"`dask worker {cluster}`"
+        )
+    others = set(found.values()) - {version("markerbridge")}
+    if others:
+        raise MarkerbridgeError(
+            f"--cluster {cluster}: workers have markerbridge {', '.join(sorted(others))}, here it "
+            f"is {version('markerbridge')}"
+        )
 
 
 def single_threaded(work: Callable[P, T]) -> Callable[P, T]:

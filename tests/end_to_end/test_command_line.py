@@ -24,7 +24,7 @@ def ended(*arguments: str, cwd: Path | None = None) -> tuple[int, str, str]:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], "evaluate  how good a model is"),
+        ([], "fetch           captures from the CMU database"),
         (["fly"], "invalid choice: 'fly'"),
         (["run"], "SOURCE"),
         (["run", "morse:x"], "'morse:x' is no source: known are serial, osc, c3d"),

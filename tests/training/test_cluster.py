@@ -4,7 +4,7 @@ import json
 import os
 import subprocess
 import sys
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 
 import numpy as np
 import pytest
@@ -16,40 +16,51 @@ from drivers.errors import MarkerbridgeError
 from tests.training.conftest import PAPER_SIX
 from training.workers import cluster_address, workers
 
+SCHEDULER = ("--host", "tcp://127.0.0.1", "--port", "0", "--no-dashboard")
+WORKER = ("--nthreads", "1", "--no-nanny", "--no-dashboard")
 
-@pytest.fixture(scope="module")
-def cluster(tmp_path_factory):
-    """Address of a scheduler with two workers, each a process of its own."""
-    folder = tmp_path_factory.mktemp("dask")
+
+@contextmanager
+def started(folder, worker_commands):
+    """A scheduler and workers, each a process of its own: the address, a function that starts one
+    more process there, and a client.
+    """
     where = folder / "scheduler.json"
-    found = ["--scheduler-file", str(where)]
-    commands = [
-        ("dask_scheduler", "--host", "tcp://127.0.0.1", "--port", "0", "--no-dashboard"),
-        *[("dask_worker", "--nthreads", "1", "--no-nanny", "--no-dashboard")] * 2,
-    ]
     with ExitStack() as stack:
-        for name, *options in commands:
+
+        def start(command):
             process = stack.enter_context(
                 subprocess.Popen(
-                    [sys.executable, "-m", f"distributed.cli.{name}", *options, *found],
+                    [*command, "--scheduler-file", str(where)],
                     cwd=folder,
                     stdout=subprocess.DEVNULL,
                     stderr=subprocess.DEVNULL,
                 )
             )
             stack.callback(process.terminate)
+
+        start([sys.executable, "-m", "distributed.cli.dask_scheduler", *SCHEDULER])
+        for command in worker_commands:
+            start(command)
         with Client(scheduler_file=str(where), timeout=60, set_as_default=False) as client:
-            client.wait_for_workers(2, timeout=60)
-            address = client.scheduler.address
+            if worker_commands:
+                client.wait_for_workers(len(worker_commands), timeout=60)
+            yield client.scheduler.address, start, client
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory):
+    """Address of a scheduler with two workers."""
+    worker = [sys.executable, "-m", "distributed.cli.dask_worker", *WORKER]
+    with started(tmp_path_factory.mktemp("dask"), [worker] * 2) as (address, _, _):
         yield address
 
 
-def where(number: int) -> int:
-    np.linalg.eigvalsh(np.random.default_rng(number).normal(size=(300, 300)))
-    return os.getpid()
-
-
 def test_work_is_done_by_both_workers(cluster):
+    def where(number):  # nested, so that it is sent as it is: workers do not have the tests
+        np.linalg.eigvalsh(np.random.default_rng(number).normal(size=(300, 300)))
+        return os.getpid()
+
     with workers(cluster):
         processes = set(Parallel()(delayed(where)(number) for number in range(60)))
     assert os.getpid() not in processes
@@ -75,6 +86,30 @@ def test_a_study_of_the_choice_is_the_same(cluster, small_dir, tmp_path):
         found.append(json.loads(out.read_text()))
     assert found[0] == found[1]
     assert len(found[0]["compared"]) == 2
+
+
+WITHOUT = """
+import sys
+
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == "training":
+            raise ModuleNotFoundError("No module named 'training'", name=name)
+
+sys.meta_path.insert(0, Finder())
+from distributed.cli.dask_worker import main
+main()
+"""
+
+
+def test_workers_that_lack_the_program_are_an_error_not_a_wait(tmp_path):
+    with started(tmp_path, []) as (address, start, client):
+        with pytest.raises(MarkerbridgeError, match="the scheduler has no workers"):
+            workers(address).__enter__()
+        start([sys.executable, "-c", WITHOUT, *WORKER])
+        client.wait_for_workers(1, timeout=60)
+        with pytest.raises(MarkerbridgeError, match="a worker there lacks this program"):
+            workers(address).__enter__()
 
 
 def test_a_scheduler_that_is_not_there_is_a_clear_error(monkeypatch):
