@@ -6,6 +6,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from drivers.errors import MarkerbridgeError
+
 
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
@@ -17,3 +19,12 @@ def whole_file(path: Path) -> Iterator[Path]:
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Writes a file whole or not at all. Raises MarkerbridgeError where that cannot be."""
+    try:
+        with whole_file(path) as part:
+            part.write_bytes(content)
+    except OSError as error:
+        raise MarkerbridgeError(f"cannot write {path}: {error.strerror}") from error

@@ -67,7 +67,6 @@ class _Cut:
     used: int
     rate: float
     parts: list[slice]
-    moments: list[Array]  # one array (s, PACKED), taken out when it is collected
     segment: Indices
     poses: Floats
 
@@ -88,18 +87,19 @@ def read_corpus(
     used: list[Capture] = []
     cuts: list[_Cut] = []
     blocks: deque[Array] = deque()
-    sparse = math.ceil(work_of(folder, captures) / recipe.forest_rows)
+    work = [_work(folder, capture) for capture in captures]
+    sparse = math.ceil(sum(work) / recipe.forest_rows)
     found = Parallel(return_as="generator")(
         delayed(_cut)(folder, capture, recipe, sparse) for capture in captures
     )
-    for capture, cut in zip(captures, found, strict=True):
-        if isinstance(cut, str):
-            warn(f"left out: {cut}")
+    for capture, frames_of_it, result in zip(captures, work, found, strict=True):
+        if isinstance(result, str):
+            warn(f"left out: {result}")
         else:
             used.append(capture)
-            cuts.append(cut)
-            blocks.append(cut.moments.pop())
-        advance(f"segments of {capture.name}", _work(folder, capture))
+            cuts.append(result[0])
+            blocks.append(result[1])
+        advance(f"segments of {capture.name}", frames_of_it)
     if not cuts:
         raise MarkerbridgeError(f"{folder}: no capture has enough frames with all 41 markers")
     counts = [len(cut.parts) for cut in cuts]
@@ -125,8 +125,10 @@ def read_corpus(
     )
 
 
-def _cut(folder: Path, capture: Capture, recipe: Recipe, sparse: int) -> _Cut | str:
-    """The segments of one capture, or why it has none. Of `sparse` poses at most one is kept."""
+def _cut(folder: Path, capture: Capture, recipe: Recipe, sparse: int) -> tuple[_Cut, Array] | str:
+    """The segments of one capture and their moments (s, PACKED), or why it has none. Of `sparse`
+    poses at most one is kept.
+    """
     try:
         take = read_take(folder, capture)
     except SourceError as error:
@@ -137,15 +139,15 @@ def _cut(folder: Path, capture: Capture, recipe: Recipe, sparse: int) -> _Cut | 
     parts = recipe.segmentation.cut(poses.reshape(-1, COORDINATES), take.rate)
     step = max(sparse, round(recipe.forest_step * take.rate))
     kept = [poses[part][::step] for part in parts]
-    return _Cut(
+    cut = _Cut(
         read=len(take.xyz),
         used=len(poses),
         rate=take.rate,
         parts=parts,
-        moments=[np.array([moments_of(poses[part]) for part in parts])],
         segment=np.repeat(np.arange(len(parts)), [len(rows) for rows in kept]),
         poses=np.concatenate(kept),
     )
+    return cut, np.array([moments_of(poses[part]) for part in parts])
 
 
 def _work(folder: Path, capture: Capture) -> float:

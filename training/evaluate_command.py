@@ -142,6 +142,9 @@ def _scored(
                 results += evaluate(adapted, [scored], faults, options.seed, baseline)
                 if options.report is not None:
                     for length, found in by_history.items():
+                        if length == adapted.info.history:
+                            found.append(results[-1])
+                            continue
                         estimator = PoseEstimator(adapted, history=length)
                         found += score(estimator, [scored], faults, options.seed)
             except DatasetError as error:
@@ -236,6 +239,7 @@ def _name(path: Path) -> str:
 
 
 def _write_json(path: Path, found: dict[str, Any]) -> None:
+    # Written in place: it may be /dev/stdout.
     try:
         path.write_text(json.dumps(found, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     except OSError as error:

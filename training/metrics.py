@@ -29,18 +29,13 @@ def rms(estimate: Floats, truth: Floats) -> float | None:
 def velocity_error(estimate: Floats, truth: Floats, rate: float) -> Array:
     """γ of the paper (3.4.2): the norm of the velocity's error, (N, M), mm per 1/120 s.
 
-    rate: Hz. Velocities are those since the frame before; NaN where either sample is missing, and
-    in the first frame.
+    Its mean is the jerkiness. rate: Hz. Velocities are those since the frame before; NaN where
+    either sample is missing, and in the first frame.
     """
     error = estimate.astype(float) - truth
     gamma: Array = np.full(error.shape[:2], np.nan)
     gamma[1:] = np.linalg.norm(np.diff(error, axis=0), axis=2) * _MM * rate / _RATE
     return gamma
-
-
-def jerk(estimate: Floats, truth: Floats, rate: float) -> float | None:
-    """Jerkiness: the mean of `velocity_error`."""
-    return mean_known(velocity_error(estimate, truth, rate))
 
 
 def roughness(estimate: Floats, truth: Floats) -> float | None:

@@ -73,7 +73,7 @@ def missing_study(
     """Scores every method in every experiment.
 
     poses: (N, 41, 3) metres, in the body frame: those of training, for the proximities. advance is
-    told of each of the STEPS. Raises MarkerbridgeError where the trees cannot be read.
+    told of each of the STEPS.
     """
     estimators = {
         method: PoseEstimator(model, imputation=imputation)

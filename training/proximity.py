@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 from bridge.model import Model
-from drivers.errors import MarkerbridgeError
 from drivers.frame import Floats
 from drivers.marker_set import MARKERS
 
@@ -29,13 +28,8 @@ class Trees:
     """The forest of a model file, its nodes numbered through all trees."""
 
     def __init__(self, path: Path) -> None:
-        """Raises MarkerbridgeError where the package that reads the file is not installed."""
-        try:
-            import onnx
-        except ImportError as error:
-            raise MarkerbridgeError(
-                "the trees of a model are read with onnx: pip install 'markerbridge[train]'"
-            ) from error
+        import onnx  # the only part of the study that wants the extra `train`
+
         graph = onnx.load(str(path)).graph
         forest = next(node for node in graph.node if node.op_type == "TreeEnsembleRegressor")
         columns: dict[str, Any] = {

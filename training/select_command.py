@@ -17,7 +17,7 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from drivers.errors import MarkerbridgeError
-from drivers.files import whole_file
+from drivers.files import write_whole
 from drivers.options import checked, seed
 from training.corpus import read_corpus, work_of
 from training.dataset import no_captures, training_captures
@@ -30,7 +30,7 @@ from training.selection_study import START_WORK, SelectionStudy, repeat_selectio
 from training.set_comparison import SetScores, compare_sets
 from training.telling import Notices, command_line
 from training.train_command import check_principal
-from training.workers import cluster_address, workers
+from training.workers import add_cluster_option, check_cluster, workers
 
 RUNS = 1000  # as the paper's
 RESTARTS = 10
@@ -59,8 +59,7 @@ def main(argv: list[str]) -> int:
     if manual and not folds:
         raise MarkerbridgeError(f"{options.data}: --compare needs more than one capture")
     recipe = RECIPES[options.estimator]
-    with workers(options.cluster):
-        pass  # whoever cannot be reached is told of before the work
+    check_cluster(options.cluster)
     work = work_of(options.data, captures) + options.runs * options.restarts * START_WORK
     if manual:
         work += (1 + len(manual)) * len(folds) * FIT_WORK
@@ -158,13 +157,7 @@ def _parser() -> argparse.ArgumentParser:
         help="what is trained to compare, as in `train` (default: local)",
     )
     add("--seed", type=checked(seed), default=0, help="of all that is random (default: 0)")
-    add(
-        "--cluster",
-        type=checked(cluster_address),
-        metavar="tcp://HOST:PORT",
-        help="a Dask scheduler whose workers do the runs and the folds; they need this program "
-        "and DATA at the same path",
-    )
+    add_cluster_option(parser, "the runs and the folds")
     add("--json", type=Path, metavar="FILE", help="writes the figures there as well")
     add(
         "--report",
@@ -228,8 +221,4 @@ def _write_json(
         "estimator": options.estimator,
         "compared": [one.to_json() for one in compared] or None,  # the automatic set first
     }
-    try:
-        with whole_file(path) as part:
-            part.write_text(json.dumps(found, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise MarkerbridgeError(f"cannot write {path}: {error.strerror}") from error
+    write_whole(path, (json.dumps(found, indent=2, allow_nan=False) + "\n").encode())

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from bridge.body_frame import REFERENCES
 from bridge.model import MAX_HISTORY, ModelInfo
 from drivers.errors import MarkerbridgeError, UsageError
-from drivers.files import whole_file
+from drivers.files import write_whole
 from drivers.marker_set import MARKERS
 from drivers.options import checked, seed
 from training.corpus import Corpus, read_corpus, work_of
@@ -28,7 +28,7 @@ from training.pipeline import FIT_WORK, choose_principal, train
 from training.progress import progress
 from training.recipe import RECIPES
 from training.telling import Notices, command_line
-from training.workers import cluster_address, workers
+from training.workers import add_cluster_option, check_cluster, workers
 
 
 def main(argv: list[str]) -> int:
@@ -57,8 +57,7 @@ def main(argv: list[str]) -> int:
         notices.warn(
             "no folds: the accuracy in the model file is that on its own training captures"
         )
-    with workers(options.cluster):
-        pass  # whoever cannot be reached is told of before the work
+    check_cluster(options.cluster)
     work = work_of(options.data, captures) + (len(folds) + 1) * FIT_WORK
     # One thread for linear algebra: the matrices are small, and the sums do not depend on the
     # machine's cores.
@@ -83,8 +82,8 @@ def main(argv: list[str]) -> int:
     content = to_onnx(fitted.graph, info)
     told = command_line("train", argv, options)
     record = _record(told, info, len(content), time.monotonic() - start)
-    _write(options.out, content)
-    _write(options.out.with_suffix(".json"), record.encode())
+    write_whole(options.out, content)
+    write_whole(options.out.with_suffix(".json"), record.encode())
     if options.report is not None:
         page = _report(options, told, corpus, fitted.leaves, info, notices.left_out)
         notices.say(f"report: {page}")
@@ -146,13 +145,7 @@ def _parser() -> argparse.ArgumentParser:
         metavar="DIR",
         help="writes a page there on the data, their segments and clusters, beside the paper's",
     )
-    add(
-        "--cluster",
-        type=checked(cluster_address),
-        metavar="tcp://HOST:PORT",
-        help="a Dask scheduler whose workers do the folds and the forest; they need this program "
-        "and DATA at the same path",
-    )
+    add_cluster_option(parser, "the folds and the forest")
     add(
         "--no-folds",
         dest="folds",
@@ -201,15 +194,6 @@ def _report(
     )
     add_training(report, told, corpus, leaves, info, without)
     return report.write()
-
-
-def _write(path: Path, content: bytes) -> None:
-    """The file appears whole or not at all."""
-    try:
-        with whole_file(path) as part:
-            part.write_bytes(content)
-    except OSError as error:
-        raise MarkerbridgeError(f"cannot write {path}: {error.strerror}") from error
 
 
 def _summarise(notices: Notices, path: Path, info: ModelInfo, size: int) -> None:

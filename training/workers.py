@@ -7,6 +7,7 @@ thread (`single_threaded`), since sums depend on how they are split.
 
 from __future__ import annotations
 
+import argparse
 import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -18,6 +19,7 @@ from joblib import parallel_config
 from threadpoolctl import threadpool_limits
 
 from drivers.errors import MarkerbridgeError
+from drivers.options import checked
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -30,6 +32,23 @@ def cluster_address(text: str) -> str:
     if not re.fullmatch(r"(tcp|tls)://[^\s:/]+:\d+", text):
         raise ValueError(f"'{text}' is no address of a Dask scheduler: write tcp://HOST:PORT")
     return text
+
+
+def add_cluster_option(parser: argparse.ArgumentParser, work: str) -> None:
+    """Adds --cluster; work: what is done there."""
+    parser.add_argument(
+        "--cluster",
+        type=checked(cluster_address),
+        metavar="tcp://HOST:PORT",
+        help=f"a Dask scheduler whose workers do {work}; they need this program and DATA at the "
+        "same path",
+    )
+
+
+def check_cluster(cluster: str | None) -> None:
+    """Tells of a cluster that cannot be reached before the work, as `workers` does."""
+    with workers(cluster):
+        pass
 
 
 @contextmanager

@@ -56,9 +56,10 @@ def spectrum(moments: Array) -> Array:
     return variances
 
 
-def dimensions(corpus: Corpus, share: float) -> npt.NDArray[np.int64]:
-    """How many components hold this share of the variance of each segment (S,)."""
-    return np.array([components_for(spectrum(moments), share) for moments in corpus.moments])
+def dimensions(corpus: Corpus) -> dict[float, npt.NDArray[np.int64]]:
+    """How many components hold each of SHARES of the variance of each segment (S,)."""
+    spectra = [spectrum(moments) for moments in corpus.moments]
+    return {share: np.array([components_for(one, share) for one in spectra]) for share in SHARES}
 
 
 def _data(
@@ -247,7 +248,7 @@ def _segments(report: Report, corpus: Corpus, kinds: npt.NDArray[np.str_]) -> No
     axes.set(xlabel="length [frames of 1/120 s]", ylabel="segments")
     axes.legend()
     report.figure("segment_lengths", "Lengths of the segments.", figure)
-    dims = {share: dimensions(corpus, share) for share in SHARES}
+    dims = dimensions(corpus)
     of_segment = kinds[corpus.capture]
     names = sorted(
         set(of_segment), key=lambda name: float(np.median(dims[0.95][of_segment == name]))
