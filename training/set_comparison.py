@@ -11,9 +11,8 @@ from drivers.errors import MarkerbridgeError
 from training.corpus import Corpus
 from training.evaluation import Scores, mean_scores
 from training.folds import Fold
-from training.pipeline import FIT_WORK, score_folds
+from training.pipeline import FIT_WORK, AnyRecipe, score_folds
 from training.progress import Advance
-from training.recipe import Recipe
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +39,7 @@ def compare_sets(
     folder: Path,
     folds: Sequence[Fold],
     sets: Sequence[tuple[str, ...]],
-    recipe: Recipe,
+    recipe: AnyRecipe,
     seed: int,
     advance: Advance,
 ) -> list[SetScores]:
@@ -54,9 +53,9 @@ def compare_sets(
         held, left_out = [], {}
         results = score_folds(corpus, folder, folds, principal, recipe, seed)
         for fold, found in zip(folds, results, strict=True):
-            if found:
-                held += found
-                left_out[fold.name] = mean_scores(found)
+            if found and found[0]:
+                held += found[0]
+                left_out[fold.name] = mean_scores(found[0])
             advance(f"set {number} of {len(sets)} without {fold.name}", FIT_WORK)
         if not held:
             raise MarkerbridgeError(

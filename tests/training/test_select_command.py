@@ -11,6 +11,8 @@ import pytest
 from bridge.model import Model
 from drivers.errors import MarkerbridgeError, UsageError
 from tests.training.conftest import PAPER_SIX
+from training.network import NetworkOptions
+from training.recipe import RECIPES, NetworkRecipe
 from training.select_command import main
 from training.train_command import main as train
 
@@ -167,3 +169,140 @@ def test_one_capture_is_no_comparison(small_dir, tmp_path):
     (tmp_path / "one.c3d").write_bytes((small_dir / "real/02_01.c3d").read_bytes())
     with pytest.raises(MarkerbridgeError, match="--compare needs more than one capture"):
         main([str(tmp_path), "--compare", "LFHD,RTOE"])
+
+
+@pytest.fixture(scope="module")
+def searched(small_dir, tmp_path_factory):
+    """The folder of a report on the search, and its JSON."""
+    folder = tmp_path_factory.mktemp("searched")
+    out = folder / "found.json"
+    argv = [str(small_dir), "--by", "error", "--count", "3", "--must", "LTOE", "--top", "2"]
+    argv += ["--compare", PAPER_SIX, "--report", str(folder / "report"), "--json", str(out)]
+    assert main(argv) == 0
+    return folder / "report", json.loads(out.read_text())
+
+
+def test_by_error_the_estimator_decides_among_the_best(searched, compared):
+    _, found = searched
+    assert found["by"] == "error"
+    assert found["wishes"]["must"] == ["LTOE"]
+    sets = {one["name"]: one for one in found["sets"]}
+    assert list(sets) == [*(f"best {number}" for number in range(1, 6)), "by variance", "manual 1"]
+    best = [sets["best 1"], sets["best 2"]]
+    assert best[0]["error_mm"] <= best[1]["error_mm"] <= sets["best 3"]["error_mm"]
+    assert all(len(one["markers"]) == 3 and "LTOE" in one["markers"] for one in best)
+    assert sets["best 3"]["scores"] is None
+    reached = {
+        tuple(one["markers"]): one["scores"]["mean"]["rms_all_mm"]
+        for one in (*best, sets["by variance"], sets["manual 1"])
+    }
+    assert found["chosen"] in [one["markers"] for one in best]
+    assert reached[tuple(found["chosen"])] == min(reached[tuple(one["markers"])] for one in best)
+    # The sets beside it do here as they do where markers are chosen by variance.
+    _, by_variance = compared
+    for one in by_variance["compared"]:
+        assert reached[tuple(one["principal"])] == one["mean"]["rms_all_mm"]
+    assert [len(one["markers"]) for one in found["by_size"]] == [1, 2, 3]
+    assert found["by_size"][-1]["markers"] == sets["best 1"]["markers"]
+
+
+def test_the_report_on_the_search_tells_the_same(searched, small_dir):
+    folder, found = searched
+    sets = {row["set"]: row for row in rows(folder / "sets.csv")}
+    assert list(sets) == [one["name"] for one in found["sets"]]
+    for one in found["sets"]:
+        row = sets[one["name"]]
+        assert float(row["closed form [mm]"]) == one["error_mm"]
+        assert row["markers"] == ", ".join(one["markers"])
+        assert (row["chosen"] == "yes") == (one["markers"] == found["chosen"])
+    sizes = rows(folder / "by_size.csv")
+    assert [float(row["closed form [mm]"]) for row in sizes] == [
+        one["error_mm"] for one in found["by_size"]
+    ]
+    means = rows(folder / "compared.csv")
+    assert means[0]["principal markers"] == ", ".join(found["chosen"])  # comes first
+    assert {row["set"] for row in means} == {"best 1", "best 2", "by variance", "manual 1"}
+    page = (folder / "index.html").read_text()
+    for name in ("number", "comparison"):
+        assert (folder / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+        assert f"{name}.png" in page
+    assert "--count 3 --must LTOE" in page
+    assert str(small_dir.parent) not in page
+
+
+def test_alone_the_estimator_does_what_training_does(small_dir, tmp_path, capsys):
+    """The shoulders count among the markers, give the body frame and are no principal ones."""
+    out, model = tmp_path / "found.json", tmp_path / "model.onnx"
+    argv = [str(small_dir), "--by", "error", "--alone", "--pairs", "--count", "4", "--top", "1"]
+    page = tmp_path / "page"
+    argv += ["--json", str(out), "--compare", "LSHO,RSHO,C7,LTOE", "--report", str(page)]
+    assert main(argv) == 0
+    found = json.loads(out.read_text())
+    assert {"LSHO", "RSHO"} < {*found["chosen"]}
+    assert found["references"] == ["LSHO", "RSHO"]
+    principal = [label for label in found["chosen"] if label not in found["references"]]
+    assert f"principal markers: {', '.join(principal)}\n" in capsys.readouterr().out
+    sets = {one["name"]: one for one in found["sets"]}
+    assert sets["best 1"]["markers"] == found["chosen"]
+    assert sets["best 1"]["scores"]["principal"] == principal
+    assert sets["manual 1"]["scores"]["principal"] == ["C7", "LTOE"]
+    by_variance = sets["by variance"]["markers"]
+    assert by_variance[:2] == ["LSHO", "RSHO"]
+    assert not {"LSHO", "RSHO"} & {*by_variance[2:]}
+    assert sets["best 2"]["scores"] is None
+    assert rows(page / "compared.csv")[0]["principal markers"] == ", ".join(principal)
+    assert "LSHO and RSHO are worn beside all" in (page / "index.html").read_text()
+    argv = [str(small_dir), "--alone", "--principal", ",".join(principal), "--out", str(model)]
+    assert train(argv) == 0
+    told = Model(model).info.accuracy["folds"]["mean"]
+    assert sets["best 1"]["scores"]["mean"] == {
+        name: pytest.approx(value, abs=0.006) for name, value in told.items()
+    }
+
+
+def test_networks_score_sets_as_well(small_dir, tmp_path, monkeypatch):
+    options = NetworkOptions(hidden=(16,), steps=30, batch=32)
+    monkeypatch.setitem(RECIPES, "best", NetworkRecipe(network=options))
+    out = tmp_path / "found.json"
+    argv = [str(small_dir), "--by", "error", "--alone", "--count", "3", "--top", "1"]
+    assert main([*argv, "--estimator", "best", "--json", str(out)]) == 0
+    found = json.loads(out.read_text())
+    assert found["estimator"] == "best"
+    scores = found["sets"][0]["scores"]
+    assert scores["principal"] == [one for one in found["chosen"] if one not in ("LSHO", "RSHO")]
+    assert set(scores["left_out"]) == {"02", "07", "16"}
+    assert all(10 < one["rms_all_mm"] < 500 for one in scores["left_out"].values())
+
+
+def test_without_top_nothing_is_trained(small_dir, capsys):
+    argv = [str(small_dir), "--by", "error", "--count", "2", "--clothes", "--top", "0"]
+    assert main(argv) == 0
+    told = capsys.readouterr()
+    assert "principal markers: " in told.out
+    assert told.err.splitlines()[-1].startswith("100 % search 8 of 8")
+
+
+@pytest.mark.parametrize(
+    ("argv", "told"),
+    [
+        (["--pairs"], "--pairs goes with --by error"),
+        (["--count", "6"], "--count goes with --by error"),
+        (["--by", "error", "--runs", "3"], "--runs goes with --by variance"),
+        (["--by", "error", "--must", "NOSE"], "--must: NOSE not in the marker set"),
+        (["--by", "error", "--never", "C7"], "--never: C7 are references"),
+        (["--by", "error", "--count", "40"], "--count 40: the wishes leave 38 markers"),
+        (["--by", "error", "--compare", "C7,LTOE"], "--compare: C7 are references"),
+        (["--by", "error", "--alone", "--count", "2"], "--count 2: the shoulders alone"),
+        (["--by", "error", "--alone", "--compare", "C7,LTOE"], "--compare: .*LSHO and RSHO"),
+        (["--by", "error", "--alone", "--compare", "LSHO,RSHO,X"], "--compare: X not in the"),
+    ],
+)
+def test_wishes_that_cannot_be_meant(small_dir, argv, told):
+    with pytest.raises(UsageError, match=told):
+        main([str(small_dir), *argv])
+
+
+def test_one_capture_has_nobody_to_leave_out(small_dir, tmp_path):
+    (tmp_path / "one.c3d").write_bytes((small_dir / "real/02_01.c3d").read_bytes())
+    with pytest.raises(MarkerbridgeError, match="--by error needs more than one capture"):
+        main([str(tmp_path), "--by", "error"])

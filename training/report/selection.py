@@ -5,7 +5,7 @@ how it does beside others (paper section 5).
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import cast
 
@@ -148,6 +148,12 @@ def _comparison(report: Report, compared: Sequence[SetScores]) -> None:
         "The automatic set was chosen once, from all captures, those of the performers left out "
         "among them; no more of them than that reached the models.",
     )
+    manual = {f"manual {number}": one for number, one in enumerate(compared[1:], 1)}
+    add_comparison(report, {"automatic": compared[0], **manual})
+
+
+def add_comparison(report: Report, compared: Mapping[str, SetScores]) -> None:
+    """The scores of sets, by their names, as a figure and tables; the first is the one chosen."""
     report.figure(
         "comparison",
         "RMS over all 41 markers: bars are means over the captures, dots the performers left out, "
@@ -159,7 +165,7 @@ def _comparison(report: Report, compared: Sequence[SetScores]) -> None:
         "Means over the captures of the performers left out.",
         (
             "set",
-            "markers",
+            "principal markers",
             "number",
             "RMS, unworn [mm]",
             "RMS, all 41 [mm]",
@@ -174,16 +180,16 @@ def _comparison(report: Report, compared: Sequence[SetScores]) -> None:
                 one.mean.rms_all_mm,
                 one.mean.jerk_mm,
             )
-            for name, one in zip(_names(compared), compared, strict=True)
+            for name, one in compared.items()
         ],
     )
     report.table(
         "performers",
         "RMS over all 41 markers by performer left out, mm.",
-        ("left out", *_names(compared)),
+        ("left out", *compared),
         [
-            (fold, *(one.left_out[fold].rms_all_mm for one in compared))
-            for fold in compared[0].left_out
+            (fold, *(one.left_out[fold].rms_all_mm for one in compared.values()))
+            for fold in next(iter(compared.values())).left_out
         ],
     )
 
@@ -223,14 +229,15 @@ def frequency_figure(study: SelectionStudy) -> Figure:
     return figure
 
 
-def comparison_figure(compared: Sequence[SetScores]) -> Figure:
+def comparison_figure(compared: Mapping[str, SetScores]) -> Figure:
     """RMS over all markers of each set: the mean, and every performer left out."""
     figure, (axes,) = new_figure(height=4.6)
     places = np.arange(len(compared))
-    means = [np.nan if one.mean.rms_all_mm is None else one.mean.rms_all_mm for one in compared]
-    axes.bar(places, means, width=0.6, color=[OURS, *[_OTHER] * (len(compared) - 1)])
-    for fold in compared[0].left_out:
-        values = [one.left_out[fold].rms_all_mm for one in compared]
+    sets = list(compared.values())
+    means = [np.nan if one.mean.rms_all_mm is None else one.mean.rms_all_mm for one in sets]
+    axes.bar(places, means, width=0.6, color=[OURS, *[_OTHER] * (len(sets) - 1)])
+    for fold in sets[0].left_out:
+        values = [one.left_out[fold].rms_all_mm for one in sets]
         heights = [np.nan if value is None else value for value in values]
         axes.plot(places, heights, "o-", color="0.2", markeredgecolor="white", linewidth=0.6)
         axes.annotate(
@@ -241,16 +248,13 @@ def comparison_figure(compared: Sequence[SetScores]) -> Figure:
             va="center",
             fontsize="small",
         )
+    letters = max(5, min(20, 78 // len(sets)))  # in a line, so that neighbours keep apart
     labels = [
-        f"{name}\n" + textwrap.fill(", ".join(one.principal), 20)
-        for name, one in zip(_names(compared), compared, strict=True)
+        f"{name}\n" + textwrap.fill(", ".join(one.principal), letters)
+        for name, one in compared.items()
     ]
     axes.set_xticks(places, labels)
     axes.set_xlim(-0.6, len(compared) - 0.4)
     axes.set_ylabel("RMS over all 41 markers [mm]")
     axes.grid(visible=False, axis="x")
     return figure
-
-
-def _names(compared: Sequence[SetScores]) -> list[str]:
-    return ["automatic", *(f"manual {number}" for number in range(1, len(compared)))]
