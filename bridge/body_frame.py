@@ -1,36 +1,65 @@
 """The frame that poses are learned and estimated in (paper section 4.1).
 
-Origin C7; z up as in the world; x the horizontal projection of LSHO to RSHO; y = z x x.
+z up as in the world; x the horizontal projection of LSHO to RSHO; y = z x x. The origin is C7, or,
+for those who wear nothing but the tracked markers they are estimated from, the shoulders' middle.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from drivers.frame import Floats
 
-REFERENCES = ("C7", "LSHO", "RSHO")
-CONSTRUCTION = "c7-shoulders"
+Array = npt.NDArray[np.float64]
+
+_AXIS = ("LSHO", "RSHO")
+
+
+@dataclass(frozen=True, slots=True)
+class Construction:
+    """Which markers make the body frame. origin: those whose middle it is. axis: from which to
+    which x points.
+    """
+
+    name: str
+    origin: tuple[str, ...]
+    axis: tuple[str, str] = _AXIS
+
+    @property
+    def references(self) -> tuple[str, ...]:
+        """All markers that it takes."""
+        return tuple(dict.fromkeys(self.origin + self.axis))
+
+    def features(self, tracked: tuple[str, ...]) -> tuple[str, ...]:
+        """The tracked markers that tell anything in this frame: all but a lone origin."""
+        return tuple(label for label in tracked if (label,) != self.origin)
+
+
+PAPER_FRAME = Construction("c7-shoulders", ("C7",))
+SIX_FRAME = Construction("six", _AXIS)
+CONSTRUCTIONS = {frame.name: frame for frame in (PAPER_FRAME, SIX_FRAME)}
+REFERENCES = PAPER_FRAME.references
 
 # Below this share of the shoulders' distance their horizontal projection says nothing of the yaw
 # (somebody bent sideways or upside down): the yaw holds.
 MIN_PROJECTION = 0.3
 # Present markers must be spread this far (m, weighted root mean square) to tell the yaw.
 MIN_SPREAD = 0.05
-_FLOOR = 0.02  # m: no marker is stiffer than this to the body, so none outweighs all others
+FLOOR = 0.02  # m: no marker is stiffer than this to the body, so none outweighs all others
 
 
 class BodyFrame:
     """Yaw and translation of the body, followed from frame to frame.
 
-    Each part is exact where its own markers are there: the origin with C7, the yaw with both
-    shoulders. What cannot be had exactly is what best carries the last known configuration of the
-    tracked markers onto those present (least squares, weighted by how little a marker moves
-    against the body); with none it holds. The yaw holds while the shoulder line is too steep to
-    tell it, and is the line's again at once when it is not.
+    Each part is exact where its own markers are there: the origin and the yaw. What cannot be had
+    exactly is what best carries the last known configuration of the tracked markers onto those
+    present (least squares, weighted by how little a marker moves against the body); with none it
+    holds. The yaw holds while the shoulder line is too steep to tell it, and is the line's again at
+    once when it is not.
 
     labels: the T tracked markers, in the order of the rows given to `update`. mean: (T, 3) metres,
     their mean positions in the body frame, the configuration before any is known. spread: (T,)
@@ -42,11 +71,13 @@ class BodyFrame:
         labels: tuple[str, ...],
         mean: npt.ArrayLike | None = None,
         spread: npt.ArrayLike | None = None,
+        construction: Construction = PAPER_FRAME,
     ) -> None:
-        self._c7, self._left, self._right = (labels.index(name) for name in REFERENCES)
+        self._origin = [labels.index(name) for name in construction.origin]
+        self._left, self._right = (labels.index(name) for name in construction.axis)
         self._mean = np.zeros((len(labels), 3)) if mean is None else np.array(mean, float)
         deviation = np.ones(len(labels)) if spread is None else np.array(spread, float)
-        self._weights = 1.0 / (deviation**2 + _FLOOR**2)
+        self._weights = 1.0 / (deviation**2 + FLOOR**2)
         self.reset()
 
     def reset(self) -> None:
@@ -60,21 +91,27 @@ class BodyFrame:
 
     def update(self, xyz: Floats) -> None:
         """Follows the body to the tracked markers `xyz`, (T, 3) metres, world, NaN missing."""
+        self.place(xyz)
+        self.learn(xyz)
+
+    def place(self, xyz: Floats) -> None:
+        """Puts the frame where the markers say, as `update` does, without learning from them how
+        the body is now: for what might have been seen. May be called many times.
+        """
         points = xyz.astype(float)
         present = ~np.isnan(points[:, 0])
         if not present.any():
             self.sigma = math.inf
             return
-        has_c7 = bool(present[self._c7])
+        exact = bool(present[self._origin].all())
+        origin = points[self._origin].mean(axis=0) if exact else None
         yaw = self._shoulder_yaw(points)
         if yaw is None:
-            yaw = self._fitted_yaw(points, present, has_c7)
+            yaw = self._fitted_yaw(points, present, origin)
         if yaw != self.yaw or not self.known:
-            self.yaw = yaw
-            cos, sin = math.cos(yaw), math.sin(yaw)
-            self.rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-        if has_c7:
-            self.origin = points[self._c7]
+            self._turn(yaw)
+        if origin is not None:
+            self.origin = origin
             self.sigma = 0.0
         else:
             weights = self._weights[present]
@@ -82,10 +119,19 @@ class BodyFrame:
             self.origin = weights @ offsets / weights.sum()
             self.sigma = float(weights.sum() ** -0.5)
         self.known = True
-        if has_c7:
-            self._configuration[present] = (points[present] - self.origin) @ self.rotation
 
-    def _shoulder_yaw(self, points: npt.NDArray[np.float64]) -> float | None:
+    def learn(self, xyz: Floats) -> None:
+        """Takes the markers, where they tell origin and yaw exactly, as the configuration known."""
+        present = ~np.isnan(xyz[:, 0])
+        if present[[*self._origin, self._left, self._right]].all():
+            self._configuration[present] = (xyz[present] - self.origin) @ self.rotation
+
+    def _turn(self, yaw: float) -> None:
+        self.yaw = yaw
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        self.rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+
+    def _shoulder_yaw(self, points: Array) -> float | None:
         """The yaw of the shoulder line; None where a shoulder is missing or the line too steep."""
         dx, dy, dz = points[self._right] - points[self._left]
         across = math.hypot(dx, dy)
@@ -95,15 +141,16 @@ class BodyFrame:
         return None
 
     def _fitted_yaw(
-        self, points: npt.NDArray[np.float64], present: npt.NDArray[np.bool_], has_c7: bool
+        self, points: Array, present: npt.NDArray[np.bool_], origin: Array | None
     ) -> float:
         """The yaw that best turns the last configuration onto the markers present."""
         if present[self._left] and present[self._right] and self.known:
             return self.yaw  # the shoulder line is too steep
         weights = self._weights[present]
         now, before = points[present, :2], self._configuration[present, :2]
-        if has_c7:
-            now, before = now - points[self._c7, :2], before - self._configuration[self._c7, :2]
+        if origin is not None:
+            middle = self._configuration[self._origin, :2].mean(axis=0)
+            now, before = now - origin[:2], before - middle
         else:
             now = now - weights @ now / weights.sum()
             before = before - weights @ before / weights.sum()

@@ -23,6 +23,10 @@ COMMANDS = {
     ),
     "train": ("training.train_command:main", "captures to a model file"),
     "evaluate": ("training.evaluate_command:main", "how good a model is on captures"),
+    "calibrate": (
+        "training.calibrate_command:main",
+        "a model for one person, from some seconds of all their markers",
+    ),
     "select-markers": (
         "training.select_command:main",
         "which markers to track: a study of how stable the choice is",

@@ -1,29 +1,37 @@
-"""From marker frames to poses: body frame, imputation, estimate, back to the world."""
+"""From marker frames to poses: noise out, missing markers in, body frame, estimate."""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
 
-from bridge.body_frame import BodyFrame
-from bridge.imputation import PATTERNS, ConditionalGaussian, Imputation, Imputer
+from bridge.body_frame import CONSTRUCTIONS, BodyFrame
+from bridge.imputation import Imputation
+from bridge.imputer import COAST, MOMENT, NEAR, Imputer
 from bridge.model import Model, ModelInfo
 from bridge.pose import Pose, Provenance
+from bridge.regression import features_of, regression_of
+from bridge.smoothing import NoiseFilter
 from drivers.frame import Floats, Layout, MarkerFrame
 
+Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+
 NOISE = 0.001  # m: standard deviation of a measured coordinate
+ENOUGH = 3  # tracked markers without which nobody can say where the body is and faces
+HOLD = 1.0  # s that a pose is held with fewer; then it is lost
+DRIFT = 0.5  # m/s: how fast a held pose, or marker, grows wrong
 
 
 def body_frame(info: ModelInfo) -> BodyFrame:
     """The body frame of a model's tracked markers, with what the model knows of them."""
     features = [info.tracked.index(label) for label in info.features]
-    # The origin is C7: at zero, and stiff to the body by definition.
+    # A lone origin is no feature: at zero, and stiff to the body by definition.
     mean = np.zeros((len(info.tracked), 3))
     mean[features] = info.mean
     spread = np.zeros(len(info.tracked))
     spread[features] = np.sqrt(np.diag(info.covariance).reshape(-1, 3).mean(axis=1))
-    return BodyFrame(info.tracked, mean, spread)
+    return BodyFrame(info.tracked, mean, spread, CONSTRUCTIONS[info.body_frame])
 
 
 class PoseEstimator:
@@ -32,9 +40,10 @@ class PoseEstimator:
     It never reads a clock, and uses the tracked markers alone: what else a stream carries is
     ignored, so the same person moves the same whatever else the device sends.
 
-    history: frames of 1/120 s before the present one that the mixture weighs in; the model's own
-    where not given. leaf_weights: (K,) float32, those of the last frame with a marker in it; zeros
-    before the first. imputation: what fills in missing markers; `Imputer` where not given.
+    history: frames of 1/120 s before the present one that a mixture weighs in; the model's own
+    where not given. imputation: what fills in missing markers, in place of all that the model and
+    this class do about them; to compare with. regression: the model's, with what it keeps of the
+    past.
     """
 
     def __init__(
@@ -45,96 +54,122 @@ class PoseEstimator:
     ) -> None:
         info = model.info
         self.model = model
-        self.history = info.history if history is None else history
+        self.history = model.info.history if history is None else history
+        self.regression = regression_of(model, self.history)
         self._tracked = info.tracked
-        self._features = np.array([info.tracked.index(label) for label in info.features])
-        self._out_tracked = np.array([info.labels.index(label) for label in info.tracked])
-        self._out_unworn = np.array([info.labels.index(label) for label in info.unworn])
+        self._features = features_of(info)
+        self._rows = np.array([info.labels.index(label) for label in info.tracked])
         self._body = body_frame(info)
-        self._gaussian = ConditionalGaussian(info.mean, info.covariance)
-        self._imputer = imputation or Imputer(self._gaussian)
-        self._sigma = np.array(info.sigma)
-        self._sensitivity = np.array(info.sensitivity)
-        self._sigma_cache: dict[bytes, tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]] = {}
+        self._filter = NoiseFilter(len(info.tracked))
+        self._imputer = Imputer(self.regression, self._body, len(info.tracked))
+        self._imputation = imputation
+        self._nowhere: Floats = np.full((len(info.labels), 3), np.nan, np.float32)
+        self._still = np.zeros_like(self._nowhere)
         self._layout: Layout | None = None
         self.reset()
 
     def reset(self) -> None:
         """Forgets the past: a new performer or sequence."""
         self._body.reset()
+        self._filter.reset()
         self._imputer.reset()
-        self._history: Floats = np.zeros((0, self.model.leaves), np.float32)
-        self._oldest = 0
-        self.leaf_weights: Floats = np.zeros(self.model.leaves, np.float32)
+        if self._imputation:
+            self._imputation.reset()
         self._layout = None
-        self._last: Floats = np.full((len(self.model.info.labels), 3), np.nan, np.float32)
+        # The last pose, with its sigma (M,) and velocities (M, 3) m/s.
+        self._pose: Floats = self._nowhere
+        self._sigma: Floats = np.full(len(self._nowhere), np.inf, np.float32)
+        self._velocity: Floats = self._still
+        self._held = 0.0  # s since enough markers were there
 
     def step(self, frame: MarkerFrame) -> Pose:
-        """The pose at a frame; with no tracked marker in it, the last one, all of it lost."""
+        """The pose at a frame; with too few tracked markers the last one, and soon all lost."""
         if frame.layout is not self._layout:
             self._adopt(frame.layout)
-        info, body = self.model.info, self._body
-        tracked: Floats = np.full((len(self._tracked), 3), np.nan, np.float32)
-        tracked[self._carried] = frame.xyz[self._rows]
-        present: Mask = ~np.isnan(tracked[:, 0])
-        tracked[~present] = np.nan
-        body.update(tracked)
-
-        labels = len(info.labels)
-        if not present.any():
-            provenance = np.full(labels, Provenance.LOST, np.uint8)
-            sigma = np.full(labels, np.inf, np.float32)
-            return Pose(frame.index, frame.t, self._last, provenance, sigma)
-
-        features = self._imputer.fill(
-            body.to_body(tracked[self._features]),
-            present[self._features],
-            1.0 / frame.layout.rate,
-        )
-        z, p = self.model.run(features.reshape(1, -1)[:, : self.model.width], self._history)
-        self.leaf_weights = p[0]
-        if len(self._history):
-            self._history[self._oldest] = p[0]
-            self._oldest = (self._oldest + 1) % len(self._history)
-
-        filled = np.zeros((len(self._tracked), 3), np.float32)
-        filled[self._features] = features
-        xyz: Floats = np.empty((labels, 3), np.float32)
-        xyz[self._out_unworn] = body.to_world(z.reshape(-1, 3))
-        # What was measured goes out as it came in, to the last bit.
-        xyz[self._out_tracked] = np.where(present[:, None], tracked, body.to_world(filled))
-        provenance = np.full(labels, Provenance.ESTIMATED, np.uint8)
-        provenance[self._out_tracked] = np.where(present, Provenance.MEASURED, Provenance.IMPUTED)
-        self._last = xyz
-        return Pose(frame.index, frame.t, xyz, provenance, self._pose_sigma(present))
+        interval = 1.0 / frame.layout.rate
+        measured: Floats = np.full((len(self._tracked), 3), np.nan, np.float32)
+        measured[self._carried] = frame.xyz[self._columns]
+        measured = self._filter.update(measured, interval)
+        present: Mask = ~np.isnan(measured[:, 0])
+        if present.sum() < ENOUGH:
+            return self._hold(frame, interval)
+        if self._imputation:
+            pose, sigma = self._filled(measured, present, interval, self._imputation)
+            back = present
+        else:
+            pose, sigma = self._estimate(measured, present, interval)
+            back = present & (self._imputer.away < NEAR)
+        provenance = np.full(len(pose), Provenance.ESTIMATED, np.uint8)
+        provenance[self._rows] = np.where(back, Provenance.MEASURED, Provenance.IMPUTED)
+        goes_on = not self._held and self._pose is not self._nowhere
+        self._velocity = (pose - self._pose) / np.float32(interval) if goes_on else self._still
+        self._pose, self._sigma, self._held = pose, sigma, 0.0
+        return Pose(frame.index, frame.t, pose, provenance, sigma)
 
     def _adopt(self, layout: Layout) -> None:
-        """Finds the tracked markers by label; keeps the history's length in seconds."""
+        """Finds the tracked markers by label."""
         rows = {label: row for row, label in enumerate(layout.labels)}
         self._carried = np.array([label in rows for label in self._tracked])
-        self._rows = np.array([rows[label] for label in self._tracked if label in rows], int)
+        self._columns = np.array([rows[label] for label in self._tracked if label in rows], int)
         if self._layout is None or layout.rate != self._layout.rate:
-            length = max(0, round(self.history * layout.rate / 120.0))
-            self._history = np.zeros((length, self.model.leaves), np.float32)
-            self._oldest = 0
+            self.regression.reset(layout.rate)
         self._layout = layout
 
-    def _pose_sigma(self, present: Mask) -> Floats:
-        """Error per coordinate: of the estimate, of what was imputed, and of the body frame."""
-        key = present.tobytes()
-        if key not in self._sigma_cache:
-            if len(self._sigma_cache) >= PATTERNS:
-                self._sigma_cache.clear()
-            covariance = self._gaussian.uncertainty(present[self._features])
-            moved = np.einsum("if,fg,ig->i", self._sensitivity, covariance, self._sensitivity)
-            variance = np.zeros(len(self.model.info.labels))
-            variance[self._out_unworn] = self._sigma**2 + moved.reshape(-1, 3).mean(axis=1)
-            tracked = np.full(len(self._tracked), 0.0)
-            tracked[self._features] = np.diag(covariance).reshape(-1, 3).mean(axis=1)
-            variance[self._out_tracked] = np.where(present, NOISE**2, tracked)
-            follows = np.ones(len(variance), bool)
-            follows[self._out_tracked] = ~present
-            self._sigma_cache[key] = variance, follows.astype(float)
-        variance, follows = self._sigma_cache[key]
-        sigma: Floats = np.sqrt(variance + follows * self._body.sigma**2).astype(np.float32)
-        return sigma
+    def _estimate(self, measured: Floats, present: Mask, interval: float) -> tuple[Floats, Floats]:
+        """The pose (M, 3) in the world and its sigma (M,): all tracked markers first, wherever
+        they come from, then all others.
+        """
+        imputer, body = self._imputer, self._body
+        tracked, lacking = imputer.complete(measured, present, self._filter.velocity, interval)
+        body.place(tracked)
+        body.learn(measured)
+        pose, sigma = self.regression.estimate(body.to_body(tracked))
+        world = body.to_world(pose)
+        world[self._rows] = tracked
+        sigma[self._rows] = NOISE
+        if lacking is not None:
+            memory = np.full(len(sigma), imputer.memory[imputer.unseen >= MOMENT].min())
+            memory[self._rows] = np.where(imputer.unseen < MOMENT, 1.0, imputer.memory)
+            sigma = np.sqrt(memory**2 * sigma**2 + (1.0 - memory**2) * lacking**2)
+        strayed = np.where(imputer.unseen < MOMENT, DRIFT * imputer.unseen, 0.0)
+        sigma[self._rows] = np.sqrt(sigma[self._rows] ** 2 + imputer.away**2 + strayed**2)
+        return world, sigma.astype(np.float32)
+
+    def _filled(
+        self, measured: Floats, present: Mask, interval: float, imputation: Imputation
+    ) -> tuple[Floats, Floats]:
+        """The pose and its sigma with missing markers filled in by another way."""
+        self._body.update(measured)
+        tracked = self._body.to_body(measured)
+        tracked[~present] = 0.0  # a lone origin is there
+        tracked[self._features] = imputation.fill(
+            np.where(present[:, None], tracked, np.float32(np.nan))[self._features],
+            present[self._features],
+            interval,
+        )
+        pose, sigma = self.regression.estimate(tracked)
+        pose[self._rows] = tracked
+        world = self._body.to_world(pose)
+        world[self._rows[present]] = measured[present]
+        return world, sigma
+
+    def _hold(self, frame: MarkerFrame, interval: float) -> Pose:
+        """With too few markers the pose comes to rest and holds; after a while all of it is lost.
+
+        So do markers that are there: the body stays whole.
+        """
+        self._held += interval
+        begun = self._pose is not self._nowhere
+        if begun:
+            self._pose = self._pose + self._velocity * np.float32(interval)
+            self._velocity = self._velocity * np.float32(np.exp(-interval / COAST))
+            self._sigma = np.hypot(self._sigma, np.float32(DRIFT * interval))
+        pose, sigma = self._pose.copy(), self._sigma.copy()
+        provenance = np.full(len(pose), Provenance.ESTIMATED, np.uint8)
+        provenance[self._rows] = Provenance.IMPUTED
+        if not begun or self._held > HOLD:
+            provenance[:] = Provenance.LOST
+            sigma[:] = np.inf
+        if begun:
+            self._imputer.hold(pose[self._rows])
+        return Pose(frame.index, frame.t, pose, provenance, sigma)

@@ -1,4 +1,4 @@
-"""Missing tracked markers, filled in from those present: conditional Gaussian, without jumps."""
+"""Missing tracked markers, filled in from those present: conditional Gaussian."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from drivers.frame import Floats
 
-FADE = 0.5  # s: time constant with which the last sighting is forgotten (docs/decisions/0005)
 PATTERNS = 512  # of missing markers that are kept; nine tracked markers have no more
 _NOISE = 0.005  # m: no coordinate is predicted from the others more finely than this
 
@@ -81,33 +80,3 @@ class Imputation(Protocol):
 
         present: (F,); interval: seconds since the frame before.
         """
-
-
-class Imputer:
-    """What the bridge does, an `Imputation`.
-
-    The conditional mean does not know where a marker was a moment ago, so a marker that goes
-    missing would jump there. What the mean was off by when the pattern of missing markers changed
-    is added, and fades.
-    """
-
-    def __init__(self, gaussian: ConditionalGaussian) -> None:
-        self._gaussian = gaussian
-        self.reset()
-
-    def reset(self) -> None:
-        """Forgets the past: a new performer or sequence."""
-        self._last: Floats | None = None
-        self._present = b""  # the pattern of the frame before
-        self._offset: Floats | None = None
-
-    def fill(self, xyz: Floats, present: npt.NDArray[np.bool_], interval: float) -> Floats:
-        """The next frame's markers, filled in."""
-        filled = self._gaussian.fill(xyz, present)
-        if not present.all() and self._last is not None:
-            if self._offset is None or present.tobytes() != self._present:
-                self._offset = self._last - self._gaussian.fill(self._last, present)
-            self._offset = self._offset * np.float32(np.exp(-interval / FADE))
-            filled = filled + self._offset
-        self._last, self._present = filled, present.tobytes()
-        return filled

@@ -1,9 +1,14 @@
 """The model file: an ONNX graph and its description (docs/model-file.md).
 
-Graph, per frame: inputs `x` (1, D) float32, the first D coordinates of the feature markers in the
-body frame, and `history` (h, K), the leaf weights of the h frames before (zero rows where there
-were none, in any order); outputs `z` (1, 3U), the unworn markers in the body frame, and `p`
-(1, K), the leaf weights of this frame, to be kept for the next ones.
+Graph of a mixture of local models, per frame: inputs `x` (1, D) float32, the first D coordinates
+of the feature markers in the body frame, and `history` (h, K), the leaf weights of the h frames
+before (zero rows where there were none, in any order); outputs `z` (1, 3U), the unworn markers in
+the body frame, and `p` (1, K), the leaf weights of this frame, to be kept for the next ones.
+
+Graph of a network: inputs `x` (n, 3F), the feature markers in the body frame, zeros where missing,
+and `present` (n, T), a one for each tracked marker that is there; outputs `z` (n, 3M), all markers
+in the body frame, and `sigma` (n, M), the standard deviation of the error per coordinate. All
+lengths are metres.
 """
 
 from __future__ import annotations
@@ -17,7 +22,7 @@ from typing import Any
 import numpy as np
 import onnxruntime
 
-from bridge.body_frame import CONSTRUCTION
+from bridge.body_frame import CONSTRUCTIONS, PAPER_FRAME
 from drivers.errors import MarkerbridgeError
 from drivers.frame import Floats
 
@@ -35,11 +40,12 @@ class ModelError(MarkerbridgeError):
 class ModelInfo:
     """What a model file says of itself.
 
-    Feature markers are the principal ones, then the references but C7 (the origin); `mean` (F, 3)
-    and `covariance` (3F, 3F) describe them in the body frame, metres. `sigma` (U,): standard
-    deviation of the estimate's error per coordinate, metres, per unworn marker, measured on folds.
-    `sensitivity` (3U, 3F): how far an error in the features moves the estimate (the global linear
-    map). `history`: frames of 1/120 s.
+    Feature markers are the principal ones, then the references but for a lone origin; `mean`
+    (F, 3) and `covariance` (3F, 3F) describe them in the body frame, metres. `sigma` (U,): standard
+    deviation of the estimate's error per coordinate, metres, per unworn marker, measured on folds;
+    a network's graph tells it frame by frame. `sensitivity` (3U, 3F): how far an error in the
+    features moves the estimate (the global linear map); a network's is empty. `history`: frames of
+    1/120 s; a network's is 0.
     """
 
     estimator: str
@@ -53,7 +59,7 @@ class ModelInfo:
     sensitivity: list[list[float]]
     training: dict[str, Any] = field(default_factory=dict)
     accuracy: dict[str, Any] = field(default_factory=dict)
-    body_frame: str = CONSTRUCTION
+    body_frame: str = PAPER_FRAME.name
     format: int = FORMAT
 
     @property
@@ -63,8 +69,8 @@ class ModelInfo:
 
     @property
     def features(self) -> tuple[str, ...]:
-        """The tracked markers but the origin, in the order the graph wants them."""
-        return tuple(label for label in self.tracked if label != "C7")
+        """The tracked markers but a lone origin, in the order the graph wants them."""
+        return CONSTRUCTIONS[self.body_frame].features(self.tracked)
 
     @property
     def unworn(self) -> tuple[str, ...]:
@@ -87,24 +93,28 @@ class ModelInfo:
         for name in ("labels", "principal", "references"):
             data[name] = tuple(data[name])
         info = cls(**data)
+        if info.body_frame not in CONSTRUCTIONS:
+            raise ValueError(f"unknown body frame {info.body_frame}")
         shapes = {
             "mean": (len(info.features), 3),
             "covariance": (3 * len(info.features),) * 2,
             "sigma": (len(info.unworn),),
-            "sensitivity": (3 * len(info.unworn), 3 * len(info.features)),
         }
+        if info.sensitivity:
+            shapes["sensitivity"] = (3 * len(info.unworn), 3 * len(info.features))
         for name, shape in shapes.items():
             if np.shape(getattr(info, name)) != shape:
                 raise ValueError(f"{name} is not of shape {shape}")
         if type(info.history) is not int or not 0 <= info.history <= MAX_HISTORY:
             raise ValueError(f"history is not a number of frames from 0 to {MAX_HISTORY}")
-        if info.body_frame != CONSTRUCTION:
-            raise ValueError(f"unknown body frame {info.body_frame}")
         return info
 
 
 class Model:
-    """A loaded model file, ready to run."""
+    """A loaded model file, ready to run.
+
+    width: D of the graph's x. leaves: K of a mixture, 0 of a network.
+    """
 
     def __init__(self, path: str | Path) -> None:
         """Raises ModelError; `default` names the model that ships with the package."""
@@ -134,20 +144,33 @@ class Model:
             self.info = ModelInfo.from_json(text)
             inputs = {entry.name: entry.shape for entry in self._session.get_inputs()}
             self.width = int(inputs["x"][1])
-            self.leaves = int(inputs["history"][1])
-            z, p = self.run(
-                np.zeros((1, self.width), np.float32), np.zeros((1, self.leaves), np.float32)
-            )
-            if z.shape != (1, 3 * len(self.info.unworn)) or p.shape != (1, self.leaves):
-                raise ValueError(f"the graph gives shapes {z.shape} and {p.shape}")
+            self.leaves = int(inputs["history"][1]) if "history" in inputs else 0
+            self._try()
         except Exception as error:
             raise ModelError(f"{path}: not usable as a model: {_line(error)}") from error
         self.path = path
 
     def run(self, x: Floats, history: Floats) -> tuple[Floats, Floats]:
-        """z and p of one frame; shapes as at the top of this module."""
+        """z and p of one frame, by a mixture; shapes as at the top of this module."""
         z, p = self._session.run(("z", "p"), {"x": x, "history": history})
         return z, p
+
+    def regress(self, x: Floats, present: Floats) -> tuple[Floats, Floats]:
+        """z and sigma of n frames, by a network; shapes as at the top of this module."""
+        z, sigma = self._session.run(("z", "sigma"), {"x": x, "present": present})
+        return z, sigma
+
+    def _try(self) -> None:
+        """Raises where the graph does not give what its description says."""
+        x = np.zeros((1, self.width), np.float32)
+        if self.leaves:
+            z, other = self.run(x, np.zeros((1, self.leaves), np.float32))
+            expected = (1, 3 * len(self.info.unworn)), (1, self.leaves)
+        else:
+            z, other = self.regress(x, np.ones((1, len(self.info.tracked)), np.float32))
+            expected = (1, 3 * len(self.info.labels)), (1, len(self.info.labels))
+        if (z.shape, other.shape) != expected:
+            raise ValueError(f"the graph gives shapes {z.shape} and {other.shape}")
 
 
 def _line(error: Exception) -> str:

@@ -7,7 +7,18 @@ import os
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
+
+from bridge.model import Model
+from training.corpus import read_corpus
+from training.dataset import training_captures
+from training.export import to_onnx
+from training.forest import ForestOptions
+from training.network import NetworkOptions
+from training.pipeline import fit_model
+from training.recipe import MixtureRecipe, NetworkRecipe
 
 ROOT = Path(__file__).parents[1]
 DATA = Path(os.environ.setdefault("MARKERBRIDGE_DATA", str(ROOT.parent / "shared" / "data")))
@@ -47,3 +58,31 @@ def small_dir(data_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / name).parent.mkdir(exist_ok=True)
         shutil.copy(data_dir / name, folder / name)
     return folder
+
+
+PAPER_SIX = ("LFHD", "RELB", "LUPA", "RSHN", "LTOE", "RTOE")
+
+
+def _fitted(small_dir: Path, path: Path, recipe: MixtureRecipe | NetworkRecipe) -> Model:
+    """A model of the paper's markers, trained here on four captures: quick, and no good."""
+    with threadpool_limits(1):
+        captures = training_captures(small_dir)
+        corpus = read_corpus(small_dir, captures, recipe, lambda *_: None, pytest.fail)
+        fitted = fit_model(corpus, np.arange(len(corpus.frames)), PAPER_SIX, recipe, 0)
+    path.write_bytes(to_onnx(fitted.graph, fitted.info))
+    return Model(path)
+
+
+@pytest.fixture(scope="session")
+def network_model(small_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Model:
+    """A small network."""
+    options = NetworkOptions(hidden=(64, 64), steps=400, batch=256)
+    path = tmp_path_factory.mktemp("network") / "network.onnx"
+    return _fitted(small_dir, path, NetworkRecipe(network=options))
+
+
+@pytest.fixture(scope="session")
+def mixture_model(small_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Model:
+    """A few local models, mixed by a small forest over the default history."""
+    recipe = MixtureRecipe(plain=False, mirror=True, forest=ForestOptions(trees=10, leaf=10))
+    return _fitted(small_dir, tmp_path_factory.mktemp("mixture") / "mixture.onnx", recipe)

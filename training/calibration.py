@@ -1,52 +1,82 @@
-"""Adapts a model to one person, from a few seconds of all their markers.
+"""Adapts a model to one person, from some seconds of all their markers (docs/decisions/0012).
 
-The mixture's weights sum to 1, so one affine map added to the maps of all leaves is that map added
-to the estimate: what the model is off by, as far as the tracked markers tell it.
+What the model is off by in the frames that have all markers is fitted by ridge regression, and
+joins the last linear map of the graph: the file keeps its form, and a frame costs what it did.
+
+Networks: the units of the last hidden layer and a constant tell what they are off by. Mixtures:
+the weights of the leaves sum to 1, so that an affine map of the features, added to the maps of all
+leaves, is added to the estimate.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import onnx
 from onnx import numpy_helper
 
-from bridge.estimator import PoseEstimator, body_frame
+from bridge.estimator import body_frame
 from bridge.model import METADATA_KEY, Model
-from drivers.frame import Floats, Layout, MarkerFrame
+from bridge.regression import features_of, regression_of
+from drivers.frame import Floats
 from drivers.marker_set import MARKERS
 from training.dataset import DatasetError
 from training.local_models import Array, NormalEquations, affine, ridge
+from training.network import Network
+from training.regressor import POSE
 
-NOISE = 0.1  # m: what holds the map back; chosen on people left out (docs/decisions/0012)
-MIN_FRAMES = 30
+# Chosen on people left out (docs/decisions/0012).
+SHARE = 0.003  # of the power of the hidden units and of the constant: what holds them back
+NOISE = 0.1  # m: what holds the map of a mixture back
+MAX_FRAMES = 600  # that networks are adapted to: of more, some are taken evenly
+MIN_SECONDS = 0.25  # of frames with all markers
+_FITTED = 2 / 3  # of the frames: how much sigma shrinks is told by the others
+_SURE = 2.0  # s of recording that tell half of how much sigma shrinks
+_LEAST = 0.5  # that sigma is multiplied by
+
+Constants = dict[str, npt.NDArray[Any]]
+Mask = npt.NDArray[np.bool_]
+
+
+def adapted(model: Model, xyz: Floats, rate: float) -> Model:
+    """The model for the person of a capture, as the runtime has it. See `calibrated`."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "calibrated.onnx")
+        path.write_bytes(calibrated(model, xyz, rate))
+        return Model(path)
 
 
 def calibrated(model: Model, xyz: Floats, rate: float) -> bytes:
     """The model file for the person of a capture (N, 41, 3): metres, world, as in MARKERS.
 
-    Frames that lack a marker are left out. Raises DatasetError where fewer than MIN_FRAMES have
-    all.
+    Frames that lack a marker are left out. Raises DatasetError where those that have all are
+    fewer than MIN_SECONDS of `rate`, Hz.
     """
-    x, residual = _residuals(model, xyz, rate)
-    if len(x) < MIN_FRAMES:
+    complete = np.asarray(~np.isnan(xyz).any(axis=(1, 2)))
+    if complete.sum() < MIN_SECONDS * rate:
         raise DatasetError(
-            f"calibration needs {MIN_FRAMES} frames with all 41 markers, there are {len(x)}"
+            f"calibration needs {MIN_SECONDS:g} s with all 41 markers, "
+            f"there are {complete.sum() / rate:.2f} s"
         )
-    correction = ridge(NormalEquations.of(affine(x), residual), NOISE)
     file = onnx.load(str(model.path))
+    constants = {entry.name: numpy_helper.to_array(entry) for entry in file.graph.initializer}
+    if model.leaves:
+        changed = _mixture(model, constants, xyz, complete, rate)
+    else:
+        changed = _networks(model, constants, xyz, complete, rate)
     for entry in file.graph.initializer:
-        values = numpy_helper.to_array(entry)
-        if entry.name == "maps":  # (D, K * U)
-            leaves = values.reshape(x.shape[1], model.leaves, -1)
-            shifted = (leaves + correction[:, None, :-1].T).reshape(values.shape)
-        elif entry.name == "offsets":  # (K, U)
-            shifted = values + correction[:, -1]
-        else:
-            continue
-        entry.CopyFrom(numpy_helper.from_array(shifted.astype(np.float32), entry.name))
-    record = model.info.training | {"calibrated_frames": len(x)}
+        if entry.name in changed:
+            values = changed[entry.name].astype(np.float32)
+            entry.CopyFrom(numpy_helper.from_array(values, entry.name))
+    record = model.info.training | {
+        "calibrated_frames": int(complete.sum()),
+        "calibrated_seconds": round(float(complete.sum() / rate), 2),
+    }
     info = replace(model.info, training=record)
     for prop in file.metadata_props:
         if prop.key == METADATA_KEY:
@@ -55,23 +85,155 @@ def calibrated(model: Model, xyz: Floats, rate: float) -> bytes:
     return content
 
 
-def _residuals(model: Model, xyz: Floats, rate: float) -> tuple[Floats, Array]:
+def _mixture(
+    model: Model, constants: Constants, xyz: Floats, complete: Mask, rate: float
+) -> Constants:
+    """The maps and offsets of all leaves, changed."""
+    x, off = _mixture_errors(model, xyz, complete, rate)
+    correction = ridge(NormalEquations.of(affine(x), off), NOISE)
+    maps, offsets = constants["maps"], constants["offsets"]  # (D, K * U), (K, U)
+    leaves = maps.reshape(x.shape[1], model.leaves, -1) + correction[:, None, :-1].T
+    return {"maps": leaves.reshape(maps.shape), "offsets": offsets + correction[:, -1]}
+
+
+def _mixture_errors(model: Model, xyz: Floats, complete: Mask, rate: float) -> tuple[Floats, Array]:
     """What the graph takes (n, D) in the complete frames, and what it is off by (n, 3U), metres."""
     info = model.info
-    tracked, features, unworn = (
-        [MARKERS.index(label) for label in labels]
-        for labels in (info.tracked, info.features, info.unworn)
-    )
+    tracked = [MARKERS.index(label) for label in info.tracked]
+    unworn = [MARKERS.index(label) for label in info.unworn]
     rows = [info.labels.index(label) for label in info.unworn]
-    layout = Layout(info.tracked, rate)
-    estimator, body = PoseEstimator(model), body_frame(info)
-    inputs, residuals = [], []
-    for index, truth in enumerate(xyz):
-        t = index / rate
-        pose = estimator.step(MarkerFrame(index, t, t, layout, truth[tracked]))
+    features = features_of(info)
+    body, regression = body_frame(info), regression_of(model, info.history)
+    regression.reset(rate)
+    inputs, errors = [], []
+    for truth, whole in zip(xyz, complete, strict=True):
         body.update(truth[tracked])
-        if not np.isnan(truth).any():
-            off = truth[unworn].astype(float) - pose.xyz[rows]
-            inputs.append(body.to_body(truth[features]).ravel()[: model.width])
-            residuals.append((off @ body.rotation).ravel())
-    return np.array(inputs, np.float32).reshape(-1, model.width), np.array(residuals)
+        seen = body.to_body(truth)
+        if np.isnan(seen[tracked]).any():
+            continue
+        pose, _ = regression.estimate(seen[tracked])
+        if whole:
+            inputs.append(seen[tracked][features].ravel()[: model.width])
+            errors.append((seen[unworn].astype(float) - pose[rows]).ravel())
+    return np.array(inputs, np.float32), np.array(errors)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """What a network is shown, and what it should say: features (n, 3F), zero where missing, marks
+    (n, T) of the tracked markers present, poses (n, 123); body frame, metres.
+    """
+
+    features: Floats
+    present: Floats
+    poses: Floats
+
+
+def _networks(
+    model: Model, constants: Constants, xyz: Floats, complete: Mask, rate: float
+) -> Constants:
+    """The last layers of both networks, changed.
+
+    Of the network for frames that lack markers each tracked marker is of use where it is missing
+    itself: what is said of it is fitted to frames that lack it alone.
+    """
+    shown, lacking = _shown(model, xyz, complete)
+    whole_weights = constants["whole_last_weights"].copy()
+    whole_bias = constants["whole_last_bias"].copy()
+    units, off = _network_errors(model, constants, "whole", shown)
+    change = _correction(units, off)
+    hidden = units.shape[1] - 1
+    whole_weights[:hidden, :POSE] += change[:-1]
+    whole_bias[:POSE] += change[-1]
+    whole_bias[POSE:] += np.log(_sigma_factor(model, units, off, complete.sum() / rate))
+    part_weights = constants["part_last_weights"].copy()
+    part_bias = constants["part_last_bias"].copy()
+    for label, frames in zip(model.info.tracked, lacking, strict=True):
+        row = model.info.labels.index(label)
+        columns = slice(3 * row, 3 * row + 3)
+        units, off = _network_errors(model, constants, "part", frames)
+        change = _correction(units, off[:, columns])
+        part_weights[: units.shape[1] - 1, columns] += change[:-1]
+        part_bias[columns] += change[-1]
+    return {
+        "whole_last_weights": whole_weights,
+        "whole_last_bias": whole_bias,
+        "part_last_weights": part_weights,
+        "part_last_bias": part_bias,
+    }
+
+
+def _shown(model: Model, xyz: Floats, complete: Mask) -> tuple[_Seen, list[_Seen]]:
+    """Complete frames, at most MAX_FRAMES: as they are, and without each tracked marker in turn."""
+    info = model.info
+    tracked = [MARKERS.index(label) for label in info.tracked]
+    order = [MARKERS.index(label) for label in info.labels]
+    features = features_of(info)
+    body = body_frame(info)
+    chosen = np.flatnonzero(complete)
+    some = np.linspace(0, len(chosen) - 1, min(len(chosen), MAX_FRAMES)).round().astype(int)
+    taken = set(chosen[some].tolist())
+    rows: list[list[tuple[Floats, Floats, Floats]]] = [[] for _ in range(len(tracked) + 1)]
+    for index, truth in enumerate(xyz):
+        if index in taken:
+            # Placed before the body frame learns from this frame, as where markers went missing.
+            for missing in range(len(tracked)):
+                present = np.ones(len(tracked), np.float32)
+                present[missing] = 0.0
+                masked = np.where(present[:, None] > 0.0, truth[tracked], np.float32(np.nan))
+                body.place(masked)
+                x = np.nan_to_num(body.to_body(masked)[features])
+                rows[missing].append((x.ravel(), present, body.to_body(truth[order]).ravel()))
+        body.update(truth[tracked])
+        if index in taken:
+            x = body.to_body(truth[tracked])[features]
+            everything = np.ones(len(tracked), np.float32)
+            rows[-1].append((x.ravel(), everything, body.to_body(truth[order]).ravel()))
+    *lacking, whole = [_Seen(*map(np.array, zip(*one, strict=True))) for one in rows]
+    return whole, lacking
+
+
+def _network_errors(
+    model: Model, constants: Constants, name: str, seen: _Seen
+) -> tuple[Array, Array]:
+    """The last hidden units of all members and a one (n, H + 1), and what the network is off by
+    (n, 123), metres.
+    """
+    there = seen.present[:, constants["rows"]]
+    x = (seen.features - constants["mean"]) * constants["unit"] * there
+    u = np.hstack([x, seen.present])
+    last = [constants[f"{name}_last_weights"], constants[f"{name}_last_bias"]]
+    ends: list[Floats] = []
+    while f"{name}_{len(ends)}_0_weights" in constants:
+        layers: list[Floats] = []
+        while (at := f"{name}_{len(ends)}_{len(layers) // 2}") + "_weights" in constants:
+            layers += [constants[f"{at}_weights"], constants[f"{at}_bias"]]
+        ends.append(Network([*layers, *last]).hidden(u))
+    z, _ = model.regress(seen.features, seen.present)
+    units = np.hstack([*ends, np.ones((len(u), 1))]).astype(float)
+    return units, seen.poses.astype(float) - z
+
+
+def _correction(units: Array, off: Array) -> Array:
+    """(H + 1, O): the ridge map from units (n, H + 1), the last being a one, to off (n, O).
+
+    Solved between the frames, which are fewer than the units may be.
+    """
+    power = np.append(np.full(units.shape[1] - 1, (units[:, :-1] ** 2).sum(axis=1).mean()), 1.0)
+    penalty = SHARE * len(units) * power
+    scaled = units / penalty
+    found: Array = scaled.T @ np.linalg.solve(scaled @ units.T + np.eye(len(units)), off)
+    return found
+
+
+def _sigma_factor(model: Model, units: Array, off: Array, seconds: float) -> float:
+    """What sigma is to be multiplied by: as much as the error shrinks in the last frames, if fitted
+    to the first alone; the less, the shorter the recording.
+    """
+    end = round(_FITTED * len(units))
+    rows = np.array([model.info.labels.index(label) for label in model.info.unworn])
+    columns = (3 * rows[:, None] + np.arange(3)).ravel()
+    before = off[end:, columns]
+    after = before - units[end:] @ _correction(units[:end], off[:end, columns])
+    shrinks = float(np.sqrt((after**2).mean() / max((before**2).mean(), 1e-12)))
+    return float(np.clip(shrinks, _LEAST, 1.0) ** (seconds / (seconds + _SURE)))

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from joblib import Parallel, delayed
 
+from bridge.body_frame import CONSTRUCTIONS
 from drivers.errors import MarkerbridgeError
 from drivers.frame import Floats, SourceError
 from drivers.marker_set import MARKERS
@@ -88,7 +89,7 @@ def read_corpus(
     cuts: list[_Cut] = []
     blocks: deque[Array] = deque()
     work = [_work(folder, capture) for capture in captures]
-    sparse = math.ceil(sum(work) / recipe.forest_rows)
+    sparse = math.ceil(sum(work) / recipe.pose_rows)
     found = Parallel(return_as="generator")(
         delayed(_cut)(folder, capture, recipe, sparse) for capture in captures
     )
@@ -133,11 +134,11 @@ def _cut(folder: Path, capture: Capture, recipe: Recipe, sparse: int) -> tuple[_
         take = read_take(folder, capture)
     except SourceError as error:
         return why_not(folder, capture, error)
-    poses = body_poses(take.xyz)
+    poses = body_poses(take.xyz, CONSTRUCTIONS[recipe.body_frame])
     if len(poses) < MIN_FRAMES:
         return f"{capture.name}: fewer than {MIN_FRAMES} frames have all 41 markers"
     parts = recipe.segmentation.cut(poses.reshape(-1, COORDINATES), take.rate)
-    step = max(sparse, round(recipe.forest_step * take.rate))
+    step = max(sparse, round(recipe.pose_step * take.rate))
     kept = [poses[part][::step] for part in parts]
     cut = _Cut(
         read=len(take.xyz),

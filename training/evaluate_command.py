@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -29,7 +28,7 @@ from training.dataset import (
 )
 from training.evaluation import Result, evaluate, report, score
 from training.evaluation_table import print_evaluation
-from training.hiding import evaluate_hidden, parse_hiding
+from training.hiding import ALL, evaluate_hidden, parse_hiding
 from training.missing_study import STEPS, missing_study
 from training.nearest_neighbour import NearestNeighbour
 from training.poses import body_poses
@@ -46,9 +45,11 @@ def main(argv: list[str]) -> int:
     options = _parser().parse_args(argv)
     notices = Notices()
     model = Model(options.model)
-    if options.hide and options.hide.marker not in model.info.tracked:
+    if options.hide and options.hide.marker not in (ALL, *model.info.tracked):
         known = ", ".join(model.info.tracked)
-        raise UsageError(f"--hide: {options.hide.marker} is not tracked ({known} are)")
+        raise UsageError(
+            f"--hide: {options.hide.marker} is not tracked ({known} are; {ALL}: each in turn)"
+        )
     if options.json is not None and not options.json.parent.is_dir():
         raise MarkerbridgeError(f"cannot write {options.json}: no such folder")
     if options.report is not None:
@@ -87,7 +88,8 @@ def main(argv: list[str]) -> int:
     if options.hide or options.missing_study:
         takes = list(stream(options.data, chosen, lambda _: None))  # what cannot be read was told
     if options.hide:
-        hidden = evaluate_hidden(model, takes, options.hide, faults, options.seed)
+        with progress(notices.console, len(takes)) as advance:
+            hidden = evaluate_hidden(model, takes, options.hide, faults, options.seed, advance)
         found["hidden"] = hidden.to_json()
     missing = []
     if options.missing_study and poses is not None:
@@ -102,7 +104,7 @@ def main(argv: list[str]) -> int:
         from training.report.missing import add_missing
 
         run = Run(
-            model=_name(Path(options.model)),
+            model=_name(options.model),
             info=model.info,
             leaves=model.leaves,
             data=_name(options.data),
@@ -129,9 +131,12 @@ def _scored(
     options: argparse.Namespace,
     notices: Notices,
 ) -> tuple[list[Result], dict[int, list[Result]]]:
-    """The results of all captures; and for a report, those with other lengths of the history."""
+    """The results of all captures; and for a report, those with other lengths of a mixture's
+    history.
+    """
     results: list[Result] = []
-    by_history: dict[int, list[Result]] = {length: [] for length in HISTORIES}
+    # A network has no mixture to be stretched.
+    by_history: dict[int, list[Result]] = {length: [] for length in HISTORIES if model.leaves}
     faults = faults_of(options)
     with progress(notices.console, len(chosen)) as advance:
         for take in stream(options.data, chosen, notices.warn):
@@ -176,15 +181,12 @@ def _calibrated_on_its_start(model: Model, take: Take, longest: float) -> tuple[
 
     Raises DatasetError for a take that is too short, or has too few whole frames there.
     """
-    from training.calibration import calibrated  # the only part that wants the extra `train`
+    from training.calibration import adapted  # the only part that wants the extra `train`
 
     if len(take.xyz) < MIN_LENGTH * take.rate:
         raise DatasetError(f"under {MIN_LENGTH:g} s, too short to calibrate on")
     end = min(len(take.xyz) // 2, round(longest * take.rate))
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, "calibrated.onnx")
-        path.write_bytes(calibrated(model, take.xyz[:end], take.rate))
-        return replace(take, xyz=take.xyz[end:]), Model(path)
+    return replace(take, xyz=take.xyz[end:]), adapted(model, take.xyz[:end], take.rate)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -194,7 +196,7 @@ def _parser() -> argparse.ArgumentParser:
         "reports its errors over the markers that nobody wears.",
     )
     add = parser.add_argument
-    add("model", metavar="MODEL", help="a model file, or default")
+    add("model", metavar="MODEL", type=Path, help="a model file, or default")
     add("data", metavar="DATA", type=Path, help="a folder of C3D files")
     add("--split", metavar="NAME", help="only the files that manifest.csv puts there, e.g. test")
     add(
@@ -214,7 +216,8 @@ def _parser() -> argparse.ArgumentParser:
         "--hide",
         type=checked(parse_hiding),
         metavar="M@1s",
-        help="the error of tracked marker M after it has been hidden for so long",
+        help="the error of tracked marker M while it is hidden for so long, and how smoothly it "
+        "returns; all@1s: of each in turn",
     )
     add(
         "--missing-study",

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from bridge.estimator import PoseEstimator, body_frame
 from bridge.model import Model, ModelInfo
+from bridge.pose import Provenance
 from drivers.frame import Floats, Layout, MarkerFrame
 from drivers.marker_set import MARKERS
 from simulators.corruption import Corruption, Faults
@@ -29,6 +30,7 @@ from training.metrics import (
 )
 from training.motions import category
 from training.nearest_neighbour import NearestNeighbour
+from training.sigma import counted
 
 # mm per 1/120 s: bounds of the bins that velocity errors are counted in; the last is open above.
 GAMMA_EDGES = np.arange(0.0, 101.0)
@@ -72,8 +74,9 @@ class Trace:
 class Result:
     """One sequence's scores. subject, motion, rate (Hz): the capture's. squared_error: (U,) m²,
     per unworn marker, mean over coordinates and frames, NaN where the truth lacks it; within:
-    (2, U), share of its coordinate errors within one and two sigma; seconds: (N,), each warm call
-    from frame to pose.
+    (2, U), share of its coordinate errors within one and two sigma; surprise: (M, B), coordinate
+    errors over sigma of all markers while they are not measured, counted (`training.sigma`);
+    seconds: (N,), each warm call from frame to pose.
 
     trace, nn_trace: of the estimate and of the baseline. transition: (N,), frames at a change of
     leaf, or so shortly after it that the mixture still weighs in the frame before. gamma: (2, B),
@@ -89,6 +92,7 @@ class Result:
     scores: Scores
     squared_error: Array
     within: Array
+    surprise: npt.NDArray[np.int64]
     seconds: Array
     trace: Trace
     nn_trace: Trace | None
@@ -223,7 +227,7 @@ def score_take(
     info = estimator.model.info
     labels = [MARKERS.index(label) for label in info.labels]
     unworn = [info.labels.index(label) for label in info.unworn]
-    estimate, sigma, leaves, seconds = _run(estimator, measured, take.rate)
+    estimate, sigma, leaves, guessed, seconds = _run(estimator, measured, take.rate)
     truth = take.xyz[:, labels]
     true, estimated = truth[:, unworn], estimate[:, unworn]
     gamma = velocity_error(estimated, true, take.rate)
@@ -254,6 +258,7 @@ def score_take(
         ),
         squared_error=_marker_mean(error),
         within=np.array([_marker_mean(share) for share in within]),
+        surprise=counted(np.where(guessed[..., None], estimate - truth, np.nan), sigma),
         seconds=seconds[_WARM:],
         trace=trace,
         nn_trace=nn_trace,
@@ -264,15 +269,16 @@ def score_take(
 
 def _run(
     estimator: PoseEstimator, measured: Floats, rate: float
-) -> tuple[Floats, Floats, npt.NDArray[np.intp], Array]:
+) -> tuple[Floats, Floats, npt.NDArray[np.intp], npt.NDArray[np.bool_], Array]:
     """One sequence from its start: the poses (N, M, 3), their sigma (N, M), the leaf with most
-    votes (N,) and the seconds taken (N,), frame by frame.
+    votes (N,), which markers are not measured nor lost (N, M), and the seconds taken (N,).
     """
     info = estimator.model.info
     layout = Layout(info.tracked, rate)
     poses = np.empty((len(measured), len(info.labels), 3), np.float32)
     sigma = np.empty(poses.shape[:2], np.float32)
     leaves = np.empty(len(measured), np.intp)
+    guessed = np.empty(sigma.shape, bool)
     seconds = np.empty(len(measured))
     estimator.reset()
     for index, xyz in enumerate(measured):
@@ -281,8 +287,11 @@ def _run(
         pose = estimator.step(frame)
         seconds[index] = time.perf_counter() - start
         poses[index], sigma[index] = pose.xyz, pose.sigma
-        leaves[index] = estimator.leaf_weights.argmax()
-    return poses, sigma, leaves, seconds
+        leaves[index] = estimator.regression.leaf()
+        guessed[index] = (pose.provenance == Provenance.ESTIMATED) | (
+            pose.provenance == Provenance.IMPUTED
+        )
+    return poses, sigma, leaves, guessed, seconds
 
 
 def _nearest(baseline: NearestNeighbour, info: ModelInfo, measured: Floats) -> Floats:

@@ -9,7 +9,8 @@ from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
-from training.missing_study import EXPERIMENTS, METHODS, TITLES
+from training.hiding import AFTER
+from training.missing_study import EXPERIMENTS, TITLES, methods_of
 
 _COLUMNS = (
     ("rms_mm", "RMS mm", ".1f"),
@@ -61,19 +62,43 @@ def print_evaluation(found: dict[str, Any]) -> None:
 def _print_hidden(console: Console, hidden: dict[str, Any]) -> None:
     if hidden["too_short"]:
         console.print(f"too short to hide a marker in: {', '.join(hidden['too_short'])}")
-    if hidden["error_mm"] is not None:
-        console.print(
-            f"{hidden['marker']} hidden for {hidden['age_s']:g} s: "
-            f"{hidden['error_mm']:.0f} mm off, RMS over the unworn markers "
-            f"{hidden['unworn_rms_mm']:.1f} mm ({hidden['windows']} times)",
-            highlight=False,
+    if not hidden["windows"]:
+        return
+    rows = hidden["markers"]
+    if len(rows) > 1:
+        rows = [*rows, hidden["mean"]]
+    table = Table(box=SIMPLE, pad_edge=False, title=f"Hidden for {hidden['seconds']:g} s")
+    table.caption = (
+        f"After so long its error and (RMS of the unworn markers), mm; coordinate errors within "
+        f"one and two sigma, %. Back: largest velocity error of any marker in the {AFTER:g} s from "
+        "its return on, mm per 1/120 s: mean, 99th percentile and maximum over "
+        f"{hidden['windows']} times; blend: the maximum against velocities with nothing hidden."
+    )
+    table.add_column("marker")
+    ages = [f"{at['age_s']:g} s" for at in rows[0]["ages"]]
+    sigmas, ends = ("1 σ", "2 σ"), ("mean", "p99", "max")
+    for title in (*ages, *sigmas, *(f"back {end}" for end in ends), "blend"):
+        table.add_column(title, justify="right", no_wrap=True)
+    for row in rows:
+        table.add_row(
+            row["marker"],
+            *(
+                f"{_cell(at['error_mm'], '.0f')} ({_cell(at['unworn_rms_mm'], '.1f')})"
+                for at in row["ages"]
+            ),
+            *(_cell(row[f"within_{n}"], ".0%") for n in (1, 2)),
+            *(_cell(row["returning"][f"{end}_mm"], ".1f") for end in ends),
+            _cell(row["blending"]["max_mm"], ".1f"),
         )
+    nothing = [_cell(hidden["unhidden"][f"{end}_mm"], ".1f") for end in ends]
+    table.add_row("nothing", *[""] * (len(ages) + len(sigmas)), *nothing)
+    console.print(table, highlight=False)
 
 
 def _print_missing(console: Console, scores: Sequence[dict[str, Any]]) -> None:
     table = Table(box=SIMPLE, pad_edge=False, title="RMS mm (jerk mm) with tracked markers missing")
     table.add_column("what is missing")
-    for title in ("", *METHODS):
+    for title in ("", *methods_of(one["method"] for one in scores)):
         table.add_column(title, justify="right", no_wrap=True)
     for experiment, values in EXPERIMENTS.items():
         for value in values:

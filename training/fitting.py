@@ -1,4 +1,6 @@
-"""One model from segments: leaves, a map for each, and the forest that names them (paper 3)."""
+"""A mixture of local models from segments: leaves, a map for each, and the forest that names them
+(paper 3).
+"""
 
 from __future__ import annotations
 
@@ -7,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from bridge.body_frame import REFERENCES
+from bridge.body_frame import CONSTRUCTIONS
 from bridge.model import ModelInfo
 from drivers.frame import Floats
 from drivers.marker_set import MARKERS
 from training.clustering import DivisiveKMeans, SegmentFeatures, segment_features
 from training.corpus import Corpus
-from training.export import Graph
+from training.export import Mixture
 from training.forest import grow_forest, sparse_forest
 from training.local_models import NormalEquations, least_squares, ridge, shrunk
 from training.mirroring import mirrored
@@ -27,7 +29,8 @@ from training.moments import (
     mean_and_covariance,
     mirrored_moments,
 )
-from training.recipe import Recipe
+from training.recipe import MixtureRecipe
+from training.regressor import Networks
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
@@ -65,19 +68,20 @@ class Rows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fitted:
-    """The graph, its description without any accuracy yet, and what it came from."""
+    """What becomes the graph, its description without any accuracy yet, a mixture's leaves."""
 
-    graph: Graph
+    graph: Mixture | Networks
     info: ModelInfo
-    leaves: Leaves
+    leaves: Leaves | None = None  # of a mixture
 
 
-def fit(
-    corpus: Corpus, segments: Indices, principal: tuple[str, ...], recipe: Recipe, seed: int
+def fit_mixture(
+    corpus: Corpus, segments: Indices, principal: tuple[str, ...], recipe: MixtureRecipe, seed: int
 ) -> Fitted:
-    """The model that these segments of the corpus give."""
-    tracked = (*principal, *REFERENCES)
-    features = tuple(label for label in tracked if label != "C7")
+    """The mixture that these segments of the corpus give."""
+    construction = CONSTRUCTIONS[recipe.body_frame]
+    tracked = (*principal, *construction.references)
+    features = construction.features(tracked)
     unworn = tuple(label for label in MARKERS if label not in tracked)
     x, z = columns_of(features), columns_of(unworn)
     leaves = cluster(corpus, segments, recipe, seed)
@@ -94,19 +98,20 @@ def fit(
         estimator="paper" if recipe.plain else "local",
         labels=MARKERS,
         principal=principal,
-        references=REFERENCES,
+        references=construction.references,
         history=recipe.history,
+        body_frame=recipe.body_frame,
         mean=mean.reshape(-1, 3).tolist(),
         covariance=covariance.tolist(),
         sigma=[0.0] * len(unworn),
         sensitivity=ridge(whole, recipe.noise)[:, :-1].tolist(),
         training={"leaves": leaves.count, "forest_nodes": len(forest.node)},
     )
-    graph = Graph(forest, recipe.plain, maps[..., :-1], maps[..., -1])
+    graph = Mixture(forest, recipe.plain, maps[..., :-1], maps[..., -1])
     return Fitted(graph, info, leaves)
 
 
-def cluster(corpus: Corpus, segments: Indices, recipe: Recipe, seed: int) -> Leaves:
+def cluster(corpus: Corpus, segments: Indices, recipe: MixtureRecipe, seed: int) -> Leaves:
     """The leaves of these segments, and of their mirror images where the recipe wants them."""
     moments = SegmentMoments(corpus.moments, segments, recipe.mirror)
     features = segment_features(moments, recipe.covariance_weight)
@@ -153,7 +158,7 @@ def _map(
     x: npt.NDArray[np.intp],
     z: npt.NDArray[np.intp],
     whole: NormalEquations,
-    recipe: Recipe,
+    recipe: MixtureRecipe,
 ) -> Array:
     """One leaf's map (U, D + 1), the constant being last.
 

@@ -6,7 +6,7 @@ Each way of filling them in gets the same captures with the same samples missing
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bridge.estimator import PoseEstimator
-from bridge.imputation import ConditionalGaussian, Imputation, Imputer
+from bridge.imputation import ConditionalGaussian
 from bridge.model import Model, ModelInfo
 from drivers.frame import Floats
 from drivers.marker_set import MARKERS
@@ -40,7 +40,7 @@ GAP_SHARE = 0.2  # of the samples, whatever the length of the gaps
 SEEN = 0.5  # s at the start of a take before the first markers are hidden
 HIDDEN = 1.0  # s that they are, and then for as long are not
 DAMPING = 0.1  # s: time constant with which a marker comes to rest (docs/decisions/0013)
-METHODS = ("conditional", "temporal", "bridge", "proximity")
+METHODS = ("conditional", "temporal", "bridge", "proximity")  # the last of mixtures alone
 STEPS = sum(map(len, EXPERIMENTS.values()))  # of the work, for its progress
 
 Mask = npt.NDArray[np.bool_]
@@ -75,10 +75,7 @@ def missing_study(
     poses: (N, 41, 3) metres, in the body frame: those of training, for the proximities. advance is
     told of each of the STEPS.
     """
-    estimators = {
-        method: PoseEstimator(model, imputation=imputation)
-        for method, imputation in imputations(model, poses).items()
-    }
+    estimators = compared(model, poses)
     scores = []
     for experiment, values in EXPERIMENTS.items():
         for value in values:
@@ -101,16 +98,25 @@ def missing_study(
     return scores
 
 
-def imputations(model: Model, poses: Floats) -> dict[str, Imputation]:
-    """The methods, by name."""
+def compared(model: Model, poses: Floats) -> dict[str, PoseEstimator]:
+    """The methods, by name. Breiman's needs the forest that a mixture has."""
     gaussian = ConditionalGaussian(model.info.mean, model.info.covariance)
-    ways: tuple[Imputation, ...] = (
-        ConditionalMean(gaussian),
-        Extrapolation(model.info.mean),
-        Imputer(gaussian),
-        ProximityImputer(model, spread_evenly(poses)),
-    )
-    return dict(zip(METHODS, ways, strict=True))
+    conditional, temporal, bridge, proximity = METHODS
+    ways = {
+        conditional: PoseEstimator(model, imputation=ConditionalMean(gaussian)),
+        temporal: PoseEstimator(model, imputation=Extrapolation(model.info.mean)),
+        bridge: PoseEstimator(model),
+    }
+    if model.leaves:
+        imputer = ProximityImputer(model, spread_evenly(poses))
+        ways[proximity] = PoseEstimator(model, imputation=imputer)
+    return ways
+
+
+def methods_of(names: Iterable[str]) -> list[str]:
+    """The methods among the names, each once, in their order."""
+    there = set(names)
+    return [method for method in METHODS if method in there]
 
 
 def lacking(take: Take, info: ModelInfo, experiment: str, value: float, seed: int) -> Floats:

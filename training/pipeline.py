@@ -13,27 +13,39 @@ import numpy as np
 import numpy.typing as npt
 from joblib import Parallel, delayed
 
-from bridge.body_frame import REFERENCES
+from bridge.body_frame import CONSTRUCTIONS, REFERENCES
 from bridge.model import Model
 from drivers.marker_set import MARKERS
+from simulators.corruption import Faults, Gaps
 from training.corpus import Corpus
 from training.dataset import UNKNOWN, Capture, Warn, read_take, stream
 from training.evaluation import Result, Scores, evaluate, mean_scores
 from training.export import to_onnx
-from training.fitting import Fitted, fit, forest_rows
-from training.folds import Fold
+from training.fitting import Fitted, fit_mixture, forest_rows
+from training.folds import Fold, leave_out
 from training.forest_error import forest_error
+from training.marker_search import residuals, search
 from training.marker_selection import select_markers
+from training.marker_wishes import Wishes
 from training.moments import columns_of, matrix, mean_and_covariance
+from training.network_fitting import fit_network
 from training.progress import Advance
-from training.recipe import Recipe
+from training.recipe import MixtureRecipe, NetworkRecipe
+from training.regressor import Networks
+from training.sigma import sigma_factors
 from training.workers import single_threaded
+
+AnyRecipe = MixtureRecipe | NetworkRecipe
 
 FIT_WORK = 50_000.0  # units of progress that one fit takes, one being a frame cut into segments
 MAX_JUDGED = 100  # captures that a model without folds is judged on
 _LIBRARIES = ("markerbridge", "numpy", "onnx", "scikit-learn")
 
+# What folds are scored with: nothing, and a fifth of the samples missing.
+FAULTS = (Faults(), Faults(gaps=Gaps(0.2, 10, 100)))
+
 Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
 CANDIDATES = tuple(label for label in MARKERS if label not in REFERENCES)
 
 
@@ -41,6 +53,19 @@ def candidate_covariance(corpus: Corpus) -> Array:
     """Covariance of the markers that may be principal, over all frames of the corpus, m²."""
     whole = matrix(corpus.moments.sum(axis=0))
     return mean_and_covariance(whole, columns_of(CANDIDATES))[1]
+
+
+def choose(corpus: Corpus, folds: Sequence[Fold], recipe: AnyRecipe, seed: int) -> tuple[str, ...]:
+    """The principal markers that a recipe wants: by variance for local models, as the paper does;
+    by their error in people left out for a network, and for any model without C7.
+    """
+    references = CONSTRUCTIONS[recipe.body_frame].references
+    if isinstance(recipe, MixtureRecipe) and references == REFERENCES:
+        return choose_principal(corpus, seed)
+    wishes = Wishes(alone=references != REFERENCES)
+    start = residuals(corpus, folds or leave_out(corpus.captures), references)
+    ranked = search(start, wishes.choice(), seed, lambda *_: None)
+    return tuple(label for label in ranked[0].markers if label not in references)
 
 
 def choose_principal(corpus: Corpus, seed: int) -> tuple[str, ...]:
@@ -54,7 +79,7 @@ def train(
     tests: Sequence[Capture],
     folds: Sequence[Fold],
     principal: tuple[str, ...],
-    recipe: Recipe,
+    recipe: AnyRecipe,
     seed: int,
     advance: Advance,
     warn: Warn,
@@ -65,17 +90,21 @@ def train(
     for the model itself.
     """
     held: list[Result] = []
+    lacking: list[Result] = []
     left_out = {}
-    scored = score_folds(corpus, folder, folds, principal, recipe, seed)
+    # What a network says of its error while markers are missing is set right as well.
+    faults = FAULTS if isinstance(recipe, NetworkRecipe) else FAULTS[:1]
+    scored = score_folds(corpus, folder, folds, principal, recipe, seed, faults)
     for fold, results in zip(folds, scored, strict=True):
         reached = "nothing left to train on" if results is None else "nothing to score"
-        if results:
-            held += results
-            left_out[fold.name] = _told(mean_scores(results))
+        if results and results[0]:
+            held += results[0]
+            lacking += results[-1]
+            left_out[fold.name] = _told(mean_scores(results[0]))
             rms = left_out[fold.name]["rms_mm"]
             reached = reached if rms is None else f"RMS {rms:.1f} mm"
         advance(f"without {fold.name}: {reached}", FIT_WORK)
-    fitted = fit(corpus, np.arange(len(corpus.frames)), principal, recipe, seed)
+    fitted = fit_model(corpus, np.arange(len(corpus.frames)), principal, recipe, seed)
     model = loaded(fitted)
     accuracy: dict[str, Any] = {"folds": None, "test": None}
     if held:
@@ -87,10 +116,25 @@ def train(
     if tests:
         told = evaluate(model, stream(folder, tests, warn))
         accuracy["test"] = _told(mean_scores(told)) if told else None
-    # Without folds all there is to judge by is what was trained on.
-    judged = held or evaluate(model, stream(folder, _some(corpus.captures), warn))
-    inputs = columns_of(model.info.features)[: model.width]
-    wrong = forest_error(forest_rows(corpus, fitted.leaves, inputs), recipe.forest, seed)
+    if not held:
+        # Without folds all there is to judge by is what was trained on.
+        judged = _some(corpus.captures)
+        held, *others = [evaluate(model, stream(folder, judged, warn), one) for one in faults]
+        lacking = others[-1] if others else []
+    wrong = None
+    if fitted.leaves and isinstance(recipe, MixtureRecipe):
+        inputs = columns_of(model.info.features)[: model.width]
+        wrong = forest_error(forest_rows(corpus, fitted.leaves, inputs), recipe.forest, seed)
+    graph, deviation = (
+        fitted.graph,
+        np.sqrt(np.nanmean([one.squared_error for one in held], axis=0)),
+    )
+    if isinstance(graph, Networks):
+        whole, part = (
+            network.with_sigma(sigma_factors([one.surprise for one in results]))
+            for network, results in ((graph.whole, held), (graph.part, lacking))
+        )
+        graph = Networks(whole, part)
     advance("the model itself", FIT_WORK)
     # As captured: mirror images are not counted.
     made_with = {
@@ -105,9 +149,10 @@ def train(
     }
     return replace(
         fitted,
+        graph=graph,
         info=replace(
             fitted.info,
-            sigma=np.sqrt(np.nanmean([result.squared_error for result in judged], axis=0)).tolist(),
+            sigma=deviation.tolist(),
             accuracy=accuracy,
             training=fitted.info.training | made_with,
         ),
@@ -119,15 +164,17 @@ def score_folds(
     folder: Path,
     folds: Sequence[Fold],
     principal: tuple[str, ...],
-    recipe: Recipe,
+    recipe: AnyRecipe,
     seed: int,
-) -> Iterator[list[Result] | None]:
-    """For each fold in turn, by the workers in force: the scores of the performers left out, from a
-    model trained without them; None where nothing is left to train on.
+    faults: Sequence[Faults] = FAULTS[:1],
+) -> Iterator[list[list[Result]] | None]:
+    """For each fold in turn, by the workers in force: for each of the faults the scores of the
+    performers left out, from a model trained without them; None where nothing is left to train on.
     """
     folder = folder.resolve()  # a worker elsewhere has another current folder
-    results: Iterator[list[Result] | None] = Parallel(return_as="generator")(
-        delayed(_score_fold)(corpus, folder, fold, principal, recipe, seed) for fold in folds
+    results: Iterator[list[list[Result]] | None] = Parallel(return_as="generator")(
+        delayed(_score_fold)(corpus, folder, fold, principal, recipe, seed, faults)
+        for fold in folds
     )
     return results
 
@@ -138,15 +185,26 @@ def _score_fold(
     folder: Path,
     fold: Fold,
     principal: tuple[str, ...],
-    recipe: Recipe,
+    recipe: AnyRecipe,
     seed: int,
-) -> list[Result] | None:
+    faults: Sequence[Faults],
+) -> list[list[Result]] | None:
     segments = corpus.without(fold.dropped)
     if not len(segments):
         return None
-    model = loaded(fit(corpus, segments, principal, recipe, seed))
+    model = loaded(fit_model(corpus, segments, principal, recipe, seed))
     used = {capture.name for capture in corpus.captures}
-    return evaluate(model, (read_take(folder, one) for one in fold.scored if one.name in used))
+    takes = [read_take(folder, one) for one in fold.scored if one.name in used]
+    return [evaluate(model, takes, one) for one in faults]
+
+
+def fit_model(
+    corpus: Corpus, segments: Indices, principal: tuple[str, ...], recipe: AnyRecipe, seed: int
+) -> Fitted:
+    """The model that these segments of the corpus give, by either kind of recipe."""
+    if isinstance(recipe, NetworkRecipe):
+        return fit_network(corpus, segments, principal, recipe, seed)
+    return fit_mixture(corpus, segments, principal, recipe, seed)
 
 
 def loaded(fitted: Fitted) -> Model:

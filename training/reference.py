@@ -71,3 +71,33 @@ class ReferenceModel:
         estimates = (x[0].astype(float) @ self._maps).reshape(self._offsets.shape) + self._offsets
         z = w @ estimates
         return z[None].astype(np.float32), p[None].astype(np.float32)
+
+
+class ReferenceNetworks:
+    """The file of networks, run in double precision. Same call as `bridge.model.Model.regress`."""
+
+    def __init__(self, path: str | Path) -> None:
+        graph = onnx.load(str(path)).graph
+        self._constants = {
+            entry.name: numpy_helper.to_array(entry).astype(float) for entry in graph.initializer
+        }
+
+    def regress(self, x: Floats, present: Floats) -> tuple[Floats, Floats]:
+        """z (n, 3M) and sigma (n, M) of n frames x (n, 3F), the markers present being (n, T)."""
+        constants = self._constants
+        there = present[:, constants["rows"].astype(int)]
+        u = np.hstack([(x - constants["mean"]) * constants["unit"] * there, present])
+        name = "whole" if present.all() else "part"
+        ends: list[Floats] = []
+        while f"{name}_{len(ends)}_0_weights" in constants:
+            units, layer = u, 0
+            while (at := f"{name}_{len(ends)}_{layer}") + "_weights" in constants:
+                a = units @ constants[f"{at}_weights"] + constants[f"{at}_bias"]
+                units = a / (1.0 + np.exp(-a))
+                layer += 1
+            ends.append(units)
+        last = np.hstack([*ends, u])
+        outputs = last @ constants[f"{name}_last_weights"] + constants[f"{name}_last_bias"]
+        width = int(constants["parts"][0])
+        z, sigma = outputs[:, :width], np.exp(outputs[:, width:])
+        return z.astype(np.float32), sigma.astype(np.float32)

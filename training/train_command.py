@@ -12,7 +12,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from bridge.body_frame import REFERENCES
+from bridge.body_frame import PAPER_FRAME, REFERENCES, SIX_FRAME
 from bridge.model import MAX_HISTORY, ModelInfo
 from drivers.errors import MarkerbridgeError, UsageError
 from drivers.files import write_whole
@@ -22,11 +22,11 @@ from training.corpus import Corpus, read_corpus, work_of
 from training.dataset import TEST, digest, manifest_splits, no_captures, training_captures
 from training.dataset import captures as captures_of
 from training.export import to_onnx
-from training.fitting import Leaves
+from training.fitting import Fitted
 from training.folds import leave_out
-from training.pipeline import FIT_WORK, choose_principal, train
+from training.pipeline import FIT_WORK, choose, train
 from training.progress import progress
-from training.recipe import RECIPES
+from training.recipe import RECIPES, MixtureRecipe
 from training.telling import Notices, command_line
 from training.workers import add_cluster_option, check_cluster, workers
 
@@ -35,7 +35,10 @@ def main(argv: list[str]) -> int:
     """Runs the command. Raises MarkerbridgeError; UsageError for what cannot be meant."""
     options = _parser().parse_args(argv)
     start = time.monotonic()
-    wish = None if options.principal is None else check_principal(options.principal)
+    frame = SIX_FRAME if options.alone else PAPER_FRAME
+    wish = None
+    if options.principal is not None:
+        wish = check_principal(options.principal, references=frame.references)
     if options.out.suffix != ".onnx":
         raise UsageError(f"--out {options.out}: the name of a model file ends in .onnx")
     if not options.out.parent.is_dir():
@@ -47,7 +50,13 @@ def main(argv: list[str]) -> int:
         make_folder(options.report)  # an error at once, and not after all the work
     recipe = RECIPES[options.estimator]
     if options.history is not None:
+        if not isinstance(recipe, MixtureRecipe):
+            raise UsageError(
+                f"--history: `{options.estimator}` has none; it is for local and paper"
+            )
         recipe = replace(recipe, history=options.history)
+    if options.alone:
+        recipe = replace(recipe, body_frame=SIX_FRAME.name)
     captures = training_captures(options.data)
     if not captures:
         raise no_captures(options.data)
@@ -64,7 +73,7 @@ def main(argv: list[str]) -> int:
     with progress(notices.console, work) as advance, threadpool_limits(1):
         with workers(None):
             corpus = read_corpus(options.data, captures, recipe, advance, notices.warn)
-        principal = wish or choose_principal(corpus, options.seed)
+        principal = wish or choose(corpus, folds, recipe, options.seed)
         with workers(options.cluster, corpus):
             fitted = train(
                 corpus,
@@ -85,26 +94,28 @@ def main(argv: list[str]) -> int:
     write_whole(options.out, content)
     write_whole(options.out.with_suffix(".json"), record.encode())
     if options.report is not None:
-        page = _report(options, told, corpus, fitted.leaves, info, notices.left_out)
+        page = _report(options, told, corpus, fitted, info, notices.left_out)
         notices.say(f"report: {page}")
     _summarise(notices, options.out, info, len(content))
     return 0
 
 
-def check_principal(text: str, option: str = "--principal") -> tuple[str, ...]:
+def check_principal(
+    text: str, option: str = "--principal", references: tuple[str, ...] = REFERENCES
+) -> tuple[str, ...]:
     """The labels of `A,B,...`. Raises UsageError for those that cannot be principal markers,
-    naming the option.
+    naming the option. references: those that are worn in any case.
     """
     labels = tuple(label.strip() for label in text.split(","))
     unknown = [label for label in labels if label not in MARKERS]
     if unknown:
         raise UsageError(f"{option}: {', '.join(unknown)} not in the marker set")
-    references = [label for label in labels if label in REFERENCES]
-    if references:
+    worn = [label for label in labels if label in references]
+    if worn:
         raise UsageError(
-            f"{option}: {', '.join(references)} are references, worn in any case: leave them out"
+            f"{option}: {', '.join(worn)} are references, worn in any case: leave them out"
         )
-    if len({*labels, *REFERENCES}) == len(MARKERS):
+    if len({*labels, *references}) == len(MARKERS):
         raise UsageError(f"{option}: no marker is left to be estimated")
     if len(set(labels)) != len(labels):
         raise UsageError(f"{option}: a marker is named twice")
@@ -135,7 +146,14 @@ def _parser() -> argparse.ArgumentParser:
         "--estimator",
         choices=tuple(RECIPES),
         default="local",
-        help="paper: the plain method; local (default): affine ridge maps, soft votes",
+        help="paper: the plain method; local (default): affine ridge maps, soft votes; best: "
+        "networks",
+    )
+    add(
+        "--alone",
+        action="store_true",
+        help="no C7: the body frame is the shoulders', and they and the principal markers are all "
+        "that is worn",
     )
     add("--history", type=_history, metavar="H", help="frames of 1/120 s that the mixture spans")
     add("--seed", type=checked(seed), default=0, help="of all that is random (default: 0)")
@@ -182,7 +200,7 @@ def _report(
     options: argparse.Namespace,
     told: str,
     corpus: Corpus,
-    leaves: Leaves,
+    fitted: Fitted,
     info: ModelInfo,
     without: Sequence[tuple[str, str]],
 ) -> Path:
@@ -192,7 +210,7 @@ def _report(
     report = Report(
         options.report, f"Training of {options.out.name} on {options.data.resolve().name}"
     )
-    add_training(report, told, corpus, leaves, info, without)
+    add_training(report, told, corpus, fitted.leaves, info, without)
     return report.write()
 
 
@@ -204,8 +222,10 @@ def _summarise(notices: Notices, path: Path, info: ModelInfo, size: int) -> None
         for what, scores in ((left_out, folds and folds["mean"]), ("test split", test))
         if scores and scores["rms_mm"] is not None
     ]
+    leaves = info.training.get("leaves")
+    told = "" if leaves is None else f", {leaves} local models"
     lines = (
-        f"{path}: {size / 1e6:.1f} MB, {info.training['leaves']} local models",
+        f"{path}: {size / 1e6:.1f} MB{told}",
         f"principal markers: {', '.join(info.principal)}",
         *reached,
     )

@@ -50,7 +50,7 @@ def test_it_holds_every_segment_of_every_capture(corpus, small_dir):
 
 
 def test_poses_are_kept_within_the_limit_from_all_segments(small_dir, corpus):
-    few = read(small_dir, Recipe(plain=False, mirror=True, forest=RECIPE.forest, forest_rows=100))
+    few = read(small_dir, Recipe(pose_rows=100))
     assert 40 < len(few.poses) < 110  # by the files' size, which may hold more than 41 markers
     assert set(few.segment) == set(range(len(few.frames)))
     np.testing.assert_array_equal(few.moments, corpus.moments)

@@ -1,6 +1,5 @@
 import json
 import shutil
-from importlib.resources import files
 
 import numpy as np
 import onnx
@@ -8,7 +7,7 @@ import pytest
 from matplotlib.colors import to_hex
 
 from bridge.estimator import PoseEstimator
-from bridge.model import METADATA_KEY, Model
+from bridge.model import METADATA_KEY
 from drivers.errors import MarkerbridgeError, UsageError
 from drivers.marker_set import MARKERS
 from tests.training.test_report_page import check_page, read_table
@@ -25,8 +24,9 @@ TEST = "real/07_12.c3d"
 
 
 @pytest.fixture(scope="module")
-def model():
-    return Model("default")
+def model(mixture_model):
+    """A mixture: of those the report tells most."""
+    return mixture_model
 
 
 @pytest.fixture(scope="module")
@@ -35,10 +35,10 @@ def takes(small_dir):
 
 
 @pytest.fixture(scope="module")
-def made(small_dir, tmp_path_factory):
+def made(model, small_dir, tmp_path_factory):
     """The report on the test split beside nearest neighbour search, and the same as JSON."""
     folder = tmp_path_factory.mktemp("made")
-    argv = ["default", small_dir, "--split", "test", "--train", small_dir]
+    argv = [model.path, small_dir, "--split", "test", "--train", small_dir]
     argv += ["--report", folder / "report", "--json", folder / "found.json"]
     assert main([str(word) for word in argv]) == 0
     return folder / "report" / "index.html", json.loads((folder / "found.json").read_text())
@@ -63,8 +63,8 @@ def test_the_page_is_whole_and_says_what_was_run(made, small_dir):
     run = columns(path.with_name("run.csv"))
     command = run["command"]["value"]
     assert command == (
-        f"markerbridge evaluate default {small_dir.name} --split test --train {small_dir.name} "
-        "--report report --json found.json"
+        f"markerbridge evaluate mixture.onnx {small_dir.name} --split test "
+        f"--train {small_dir.name} --report report --json found.json"
     )
     assert "1 sequences, 263 frames" in run["scored on"]["value"]
     assert "LFHD, RELB, LUPA, RSHN, LTOE, RTOE" in run["principal markers"]["value"]
@@ -182,7 +182,7 @@ def test_what_the_model_says_of_its_training(says, model, small_dir, tmp_path):
     }
     info = json.loads(model.info.to_json())
     info["training"] = training if says else {}
-    graph = onnx.load_from_string((files("bridge") / "models" / "default.onnx").read_bytes())
+    graph = onnx.load(str(model.path))
     onnx.helper.set_model_props(graph, {METADATA_KEY: json.dumps(info)})
     onnx.save(graph, str(tmp_path / "told.onnx"))
     argv = [tmp_path / "told.onnx", small_dir, "--split", "test", "--report", tmp_path / "report"]
@@ -234,8 +234,48 @@ def test_calibrated_and_with_a_marker_hidden(small_dir, tmp_path):
     page = check_page(tmp_path / "report" / "index.html")
     assert "Too short for that: walk.c3d." in page.text
     hidden = json.loads((tmp_path / "found.json").read_text())["hidden"]
-    row = columns(tmp_path / "report" / "hidden.csv")["RTOE"]
-    assert [row["hidings"], row["its error [mm]"]] == [hidden["windows"], hidden["error_mm"]]
+    assert hidden["windows"] == 0
+
+
+def test_hidden_markers_are_told_by_age_and_at_their_return(small_dir, tmp_path):
+    argv = ["default", str(small_dir), "--split", "test", "--hide", "all@0.5s"]
+    argv += ["--report", str(tmp_path / "report"), "--json", str(tmp_path / "found.json")]
+    assert main(argv) == 0
+    hidden = json.loads((tmp_path / "found.json").read_text())["hidden"]
+    rows = [*hidden["markers"], hidden["mean"]]
+    _, *told = read_table(tmp_path / "report" / "hidden.csv")
+    expected = [
+        [row["marker"], at["age_s"], at["error_mm"], at["unworn_rms_mm"]]
+        for row in rows
+        for at in row["ages"]
+    ]
+    assert [[line[0], *map(number, line[1:4])] for line in told] == expected
+    shares = [100 * at["within_2"] for row in rows for at in row["ages"]]
+    assert [number(line[5]) for line in told] == pytest.approx(shares)
+    _, *told = read_table(tmp_path / "report" / "returning.csv")
+    names = [*(row["marker"] for row in rows), "none"]
+    parts = [*(row["returning"] for row in rows), hidden["unhidden"]]
+    assert [line[0] for line in told] == names
+    assert [[number(cell) for cell in line[3:6]] for line in told] == [
+        [part[name] for name in ("mean_mm", "p99_mm", "max_mm")] for part in parts
+    ]
+    page = check_page(tmp_path / "report" / "index.html")
+    assert "Each tracked marker in turn hidden for 0.5 s" in page.text
+
+
+def test_a_network_has_no_mixture_to_tell_of(network_model, small_dir, tmp_path):
+    argv = [network_model.path, small_dir, "--split", "test", "--train", small_dir]
+    argv += ["--report", tmp_path / "report"]
+    assert main([str(word) for word in argv]) == 0
+    page = check_page(tmp_path / "report" / "index.html")
+    run = columns(tmp_path / "report" / "run.csv")
+    assert run["model"]["value"] == "network.onnx (estimator best, a network)"
+    assert "mixture" not in run
+    for text in ("Transitions", "Length of the history", "without measuring the error"):
+        assert text not in page.text
+    for name in ("histories", "jerky_frames"):
+        assert not (tmp_path / "report" / f"{name}.csv").exists()
+    assert columns(tmp_path / "report" / "figures.csv")["local models"]["this model"] is None
 
 
 def test_wrong_usage_ends_before_the_work(small_dir, tmp_path):

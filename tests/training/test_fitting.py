@@ -4,7 +4,7 @@ import pytest
 from drivers.marker_set import MARKERS
 from training.corpus import read_corpus
 from training.dataset import training_captures
-from training.fitting import cluster, fit, forest_rows
+from training.fitting import cluster, fit_mixture, forest_rows
 from training.forest import ForestOptions
 from training.forest_error import HELD, forest_error
 from training.local_models import affine
@@ -13,7 +13,7 @@ from training.moments import columns_of, moments_of
 from training.recipe import RECIPES, Recipe
 
 SIX = ("LFHD", "RELB", "LUPA", "RSHN", "LTOE", "RTOE")
-ALL_POSES = {"forest_step": 0.0, "forest_rows": 10**6}
+ALL_POSES = {"pose_step": 0.0, "pose_rows": 10**6}
 
 
 @pytest.fixture(scope="module")
@@ -22,8 +22,10 @@ def recipes():
     local = RECIPES["local"]
     forest = ForestOptions(trees=5, leaf=5)
     return {
-        "local": Recipe(plain=False, mirror=True, forest=forest, share=local.share, **ALL_POSES),
-        "paper": Recipe(plain=True, mirror=False, forest=forest, **ALL_POSES),
+        "local": MixtureRecipe(
+            plain=False, mirror=True, forest=forest, share=local.share, **ALL_POSES
+        ),
+        "paper": MixtureRecipe(plain=True, mirror=False, forest=forest, **ALL_POSES),
     }
 
 
@@ -43,7 +45,7 @@ def coordinates(poses, labels):
 
 
 def test_the_papers_maps_are_least_squares_over_the_frames_of_each_leaf(corpus, recipes):
-    fitted = fit(corpus, everything(corpus), SIX, recipes["paper"], 0)
+    fitted = fit_mixture(corpus, everything(corpus), SIX, recipes["paper"], 0)
     leaf = fitted.leaves.leaf[corpus.segment]  # of every frame
     assert fitted.leaves.count > 1
     for number in range(fitted.leaves.count):
@@ -57,7 +59,7 @@ def test_the_papers_maps_are_least_squares_over_the_frames_of_each_leaf(corpus, 
 
 def test_the_local_maps_are_ridge_regressions_over_own_and_mirrored_frames(corpus, recipes):
     recipe = recipes["local"]
-    fitted = fit(corpus, everything(corpus), SIX, recipe, 0)
+    fitted = fit_mixture(corpus, everything(corpus), SIX, recipe, 0)
     features, unworn = fitted.info.features, fitted.info.unworn
     poses = np.concatenate([corpus.poses, mirrored(corpus.poses)]).astype(float)
     leaf = np.concatenate([fitted.leaves.leaf[corpus.segment], fitted.leaves.twin[corpus.segment]])

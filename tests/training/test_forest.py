@@ -4,7 +4,7 @@ import pytest
 from skl2onnx import to_onnx as oracle
 from sklearn.ensemble import RandomForestClassifier
 
-from training.export import Graph, to_onnx
+from training.export import Mixture, to_onnx
 from training.forest import Forest, ForestOptions, grow_forest, round_down, sparse_forest
 
 
@@ -78,7 +78,9 @@ def test_the_exported_forest_agrees_with_skl2onnx(trained, minimal_info):
     forest, x = trained
     rows = np.random.default_rng(1).normal(size=(100, 6)).astype(np.float32)
     rows = np.concatenate([rows, x[:100]])
-    graph = Graph(sparse_forest([forest], hard=False), False, np.zeros((4, 3, 6)), np.zeros((4, 3)))
+    graph = Mixture(
+        sparse_forest([forest], hard=False), False, np.zeros((4, 3, 6)), np.zeros((4, 3))
+    )
     found = probabilities_in_onnx(to_onnx(graph, minimal_info), rows, 4)
     content = oracle(
         forest, x[:1], options={"zipmap": False}, target_opset={"": 17, "ai.onnx.ml": 3}
@@ -96,7 +98,9 @@ def test_rows_on_a_threshold_go_where_scikit_learn_sends_them(trained, minimal_i
     rows[np.arange(inner.sum()), tree.feature[inner]] = np.nextafter(
         tree.threshold[inner].astype(np.float32), np.float32(np.inf)
     )
-    graph = Graph(sparse_forest([forest], hard=False), False, np.zeros((4, 3, 6)), np.zeros((4, 3)))
+    graph = Mixture(
+        sparse_forest([forest], hard=False), False, np.zeros((4, 3, 6)), np.zeros((4, 3))
+    )
     found = probabilities_in_onnx(to_onnx(graph, minimal_info), rows, 4)
     np.testing.assert_allclose(found, forest.predict_proba(rows), atol=1e-5)
 

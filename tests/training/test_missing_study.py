@@ -25,6 +25,7 @@ from training.missing_study import (
     STEPS,
     Extrapolation,
     lacking,
+    methods_of,
     missing_study,
 )
 from training.poses import body_poses
@@ -33,8 +34,9 @@ from training.report.page import Report
 
 
 @pytest.fixture(scope="module")
-def model() -> Model:
-    return Model("default")
+def model(mixture_model) -> Model:
+    """One that has a forest."""
+    return mixture_model
 
 
 @pytest.fixture(scope="module")
@@ -175,6 +177,22 @@ def test_there_is_a_row_for_each_and_the_methods_differ(study) -> None:
         assert all(one.rms_missing_mm > 0 for one in last)
 
 
+def test_of_networks_all_but_the_proximities_are_compared(network_model, poses, short) -> None:
+    """The network's own way is plainly evaluated; the others run it on markers filled in."""
+    scores = missing_study(network_model, [short], poses, 0, lambda what, units: None)
+    assert methods_of(score.method for score in scores) == ["conditional", "temporal", "bridge"]
+    (result,) = evaluate(network_model, [short], Faults(gaps=Gaps(0.2, 20, 20)))
+    of_gaps = {
+        score.method: score.rms_mm
+        for score in scores
+        if (score.experiment, score.value) == (GAP, 20)
+    }
+    assert of_gaps["bridge"] == result.scores.rms_mm
+    assert len(set(of_gaps.values())) == 3
+    lines = [line for line in missing_figure(scores).axes[0].lines if len(line.get_xdata()) > 2]
+    assert len(lines) == 3
+
+
 def test_the_same_seed_gives_the_same_rows(model, poses, short, study) -> None:
     assert missing_study(model, [short], poses, 0, lambda what, units: None) == study
 
@@ -208,11 +226,13 @@ def test_the_command_wants_training_poses(data_dir) -> None:
         main(["default", str(data_dir), "--split", "test", "--missing-study"])
 
 
-def test_the_command_prints_and_writes_the_study(data_dir, small_dir, tmp_path, capsys) -> None:
+def test_the_command_prints_and_writes_the_study(
+    model, data_dir, small_dir, tmp_path, capsys
+) -> None:
     folder, file = tmp_path / "data", tmp_path / "found.json"
     folder.mkdir()
     shutil.copy(data_dir / "real" / "02_03.c3d", folder)
-    argv = ["default", folder, "--train", small_dir, "--missing-study"]
+    argv = [model.path, folder, "--train", small_dir, "--missing-study"]
     argv += ["--json", file, "--report", tmp_path / "report"]
     assert main([str(word) for word in argv]) == 0
     found = json.loads(file.read_text())

@@ -10,7 +10,7 @@ from sklearn.ensemble import RandomForestClassifier
 
 from bridge.model import Model
 from drivers.marker_set import MARKERS
-from training.export import Graph, to_onnx
+from training.export import Mixture, to_onnx
 from training.forest import sparse_forest
 from training.proximity import ITERATIONS, ProximityImputer, Trees, spread_evenly
 
@@ -24,7 +24,7 @@ def save(path, x, labels, info, leaf=3, hard=False):
     classes = len(forest.classes_)
     maps = np.zeros((classes, OUTPUTS, x.shape[1]), np.float32)
     offsets = np.zeros((classes, OUTPUTS), np.float32)
-    path.write_bytes(to_onnx(Graph(sparse_forest([forest], hard), hard, maps, offsets), info))
+    path.write_bytes(to_onnx(Mixture(sparse_forest([forest], hard), hard, maps, offsets), info))
     return Model(path), forest
 
 

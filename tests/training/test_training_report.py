@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 from sklearn.decomposition import PCA
 
+from bridge.body_frame import PAPER_FRAME, SIX_FRAME
 from bridge.model import Model
 from drivers.marker_set import MARKERS
 from tests.training.conftest import PAPER_SIX
 from tests.training.test_report_page import check_page
 from training.dataset import load_training
+from training.network import NetworkOptions
 from training.poses import body_poses
-from training.recipe import RECIPES
-from training.report.training import MOVING
+from training.recipe import RECIPES, NetworkRecipe
 from training.train_command import main
 
 
@@ -43,8 +44,9 @@ def rows(folder, name):
     return found
 
 
-def moving(take):
-    poses = body_poses(take.xyz)[:, [MARKERS.index(label) for label in MOVING]]
+def moving(take, frame=PAPER_FRAME):
+    columns = [MARKERS.index(label) for label in frame.features(MARKERS)]
+    poses = body_poses(take.xyz, frame)[:, columns]
     return poses.reshape(len(poses), -1).astype(float)
 
 
@@ -143,3 +145,32 @@ def test_a_folder_without_walks_one_segment_and_no_folds(small_dir, tmp_path):
     page = check_page(tmp_path / "page/index.html")
     assert "None of the captures is a walk" in page.text
     assert "nothing can be held out" in page.text
+
+
+def test_of_networks_without_c7(small_dir, tmp_path, monkeypatch, takes):
+    """All 41 markers move in their body frame; there are no clusters and no forest."""
+    options = NetworkOptions(hidden=(24, 16), steps=20, batch=32, dropout=0.25, rate=0.002)
+    monkeypatch.setitem(RECIPES, "best", NetworkRecipe(network=options, members=2))
+    out, folder = tmp_path / "m.onnx", tmp_path / "page"
+    argv = [str(small_dir), "--estimator", "best", "--alone", "--no-folds", "--out", str(out)]
+    argv += ["--principal", "LWRB,RWRB,LANK,RANK", "--report", str(folder)]
+    assert main(argv) == 0
+    page = check_page(folder / "index.html")
+    assert "--estimator best --alone" in page.text
+    assert "41 markers in the body frame" in page.text
+    for left in ("Clusters", "Forest"):
+        assert left not in page.text
+    told = dict(rows(folder, "networks"))
+    assert told["tracked markers"] == "LWRB, RWRB, LANK, RANK, LSHO, RSHO"
+    assert told["units of the hidden layers"] == "24, 16"
+    for name, value in (
+        ("networks whose mean is taken", 2),
+        ("units left out in training (%)", 25),
+        ("steps of training", 20),
+        ("examples in each", 32),
+        ("highest learning rate", 0.002),
+    ):
+        assert float(told[name]) == value
+    found = [float(share) for _, share in rows(folder, "variance")]
+    expected = covered(np.concatenate([moving(take, SIX_FRAME) for take in takes]))
+    np.testing.assert_allclose(found, expected[: len(found)], atol=1e-6)

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from bridge.model import ModelInfo
 from training.evaluation import GAMMA_EDGES, Result, grouped, mean_scores, motion_category
+from training.hiding import AFTER
 from training.metrics import mean_known, row_mean
 from training.report import paper
 from training.report.body import body_figure
@@ -25,6 +26,8 @@ SHOWN = 3  # sequences drawn frame by frame where none are asked for
 _CM_S = 12.0  # cm/s in one mm per 1/120 s
 _JERKY = 99.0  # percentile of the frames without a transition above which a frame is jerky
 
+_WITHIN = ("within 1 σ [%]", "within 2 σ [%]")
+_PARTS = ("returning", "blending")  # of a marker that was hidden
 _SCORES = (
     ("rms_mm", "RMS [mm]"),
     ("nn_rms_mm", "NN RMS [mm]"),
@@ -41,9 +44,10 @@ class Run:
 
     model, data, train: names of the file and the folders, the last None without a baseline.
     recalled: how many of the captures scored are among those of `train`. command: the line that
-    started it. results: of the model. by_history: of the same captures, mixed over so many frames
-    of 1/120 s before the present one; 0 among them. shown: files to be drawn frame by frame.
-    left_out: files that could not be used, and why.
+    started it. leaves: local models; 0 of a network. results: of the model. by_history: of the
+    same captures, mixed over so many frames of 1/120 s before the present one; 0 among them, empty
+    for a network. shown: files to be drawn frame by frame. left_out: files that could not be used,
+    and why.
     """
 
     model: str
@@ -66,8 +70,9 @@ def evaluation_report(folder: Path, run: Run, found: Mapping[str, Any]) -> Repor
     _beside_the_paper(report, run, found)
     _groups(report, run, found)
     _frame_by_frame(report, run)
-    _transitions(report, run)
-    _histories(report, run)
+    if run.leaves:
+        _transitions(report, run)
+        _histories(report, run)
     _by_marker(report, run, found)
     if "hidden" in found:
         _hidden(report, found["hidden"])
@@ -97,10 +102,9 @@ def _what_was_run(report: Report, run: Run) -> None:
     )
     rows = [
         ("command", run.command),
-        ("model", f"{run.model} (estimator {info.estimator}, {run.leaves} local models)"),
+        ("model", f"{run.model} (estimator {info.estimator}, {_kind(run)})"),
         ("principal markers", ", ".join(info.principal)),
         ("reference markers", ", ".join(info.references)),
-        ("mixture", f"over {info.history} frames of 1/120 s before the present one"),
         (
             "trained on",
             f"{shown(training.get('sequences'))} sequences, {shown(training.get('frames'))} frames "
@@ -116,6 +120,9 @@ def _what_was_run(report: Report, run: Run) -> None:
             f"searches the training poses of {run.train}" if run.train else "not run",
         ),
     ]
+    if run.leaves:
+        mixture = f"over {info.history} frames of 1/120 s before the present one"
+        rows.insert(4, ("mixture", mixture))
     if run.recalled:
         rows.append(
             (
@@ -129,6 +136,10 @@ def _what_was_run(report: Report, run: Run) -> None:
         report.table("left_out", "What was left out, and why.", ("what", "why"), run.left_out)
 
 
+def _kind(run: Run) -> str:
+    return f"{run.leaves} local models" if run.leaves else "a network"
+
+
 def _beside_the_paper(report: Report, run: Run, found: Mapping[str, Any]) -> None:
     notes = [
         "Means over the sequences. The paper does not say in which unit its velocity error is; the "
@@ -139,7 +150,7 @@ def _beside_the_paper(report: Report, run: Run, found: Mapping[str, Any]) -> Non
             "No training captures were given (--train), so there is no nearest neighbour to "
             "compare with: its columns are empty."
         )
-    if "forest_error" not in run.info.training:
+    if run.leaves and "forest_error" not in run.info.training:
         notes.append("The model was trained without measuring the error of its classifier.")
     report.section("Beside the paper", *notes)
     mean = found["mean"]
@@ -173,8 +184,8 @@ def _beside_the_paper(report: Report, run: Run, found: Mapping[str, Any]) -> Non
     report.table(
         "figures",
         "Other figures that the paper gives. The classifier is the random forest that chooses the "
-        "local model; its error is that on frames, or whole segments, of the training sequences "
-        "that were held out.",
+        "local model (a network has neither); its error is that on frames, or whole segments, of "
+        "the training sequences that were held out.",
         ("figure", "this model", "paper", "in section"),
         _figures(run),
     )
@@ -190,7 +201,7 @@ def _figures(run: Run) -> list[tuple[str, float | None, float | None, str]]:
     return [
         ("classifier error, frames [%]", percent.get("frames"), 100 * paper.FOREST_ERROR, "4.2"),
         ("classifier error, whole segments [%]", percent.get("segments"), None, ""),
-        ("local models", run.leaves, paper.LEAVES, "4.2"),
+        ("local models", run.leaves or None, paper.LEAVES, "4.2"),
         ("segments trained on", training.get("segments"), paper.SEGMENTS, "4.2"),
         (
             f"sequences with γ at least {100 * paper.JERK_REDUCED_BY:.0f} % below the nearest "
@@ -341,6 +352,10 @@ def _percent(mask: Mask) -> float | None:
     return 100 * float(mask.mean()) if len(mask) else None
 
 
+def _share(part: float | None) -> float | None:
+    return None if part is None else 100 * part
+
+
 def _counts(results: Sequence[Result]) -> npt.NDArray[np.int64]:
     total: npt.NDArray[np.int64] = np.sum([result.gamma for result in results], axis=0)
     return total
@@ -368,16 +383,9 @@ def _by_marker(report: Report, run: Run, found: Mapping[str, Any]) -> None:
         "RMS error of each marker, mean over the sequences, the largest first; and the share of "
         "its coordinate errors within one and two of the standard deviations that the estimator "
         "tells (68 and 95 % of a normal distribution).",
-        ("marker", "RMS [mm]", "within 1 σ [%]", "within 2 σ [%]"),
+        ("marker", "RMS [mm]", *_WITHIN),
         [
-            (
-                labels[row],
-                errors[row],
-                *(
-                    None if part[labels[row]] is None else 100 * part[labels[row]]
-                    for part in within
-                ),
-            )
+            (labels[row], errors[row], *(_share(part[labels[row]]) for part in within))
             for row in np.argsort(-errors)
         ],
     )
@@ -391,17 +399,56 @@ def marker_errors(results: Sequence[Result]) -> Array:
 
 
 def _hidden(report: Report, hidden: Mapping[str, Any]) -> None:
-    short = hidden["too_short"]
+    rows, short = hidden["markers"], hidden["too_short"]
+    which = f"Marker {rows[0]['marker']}" if len(rows) == 1 else "Each tracked marker in turn"
     report.section(
-        f"{hidden['marker']} hidden",
-        f"Marker {hidden['marker']} hidden for {hidden['age_s']:g} s, from every half second on.",
+        "Hidden markers",
+        f"{which} hidden for {hidden['seconds']:g} s, from every half second on, "
+        f"{hidden['windows']} times.",
+        f"When it returns nothing is to jump: the largest velocity error of any of the body's "
+        f"markers in the {AFTER:g} s from then on. The capture's own jumps are in it: the row of "
+        "no marker has the same frames with nothing hidden. Blending: the largest difference in "
+        "velocity to those frames.",
         *([f"Too short for that: {', '.join(short)}."] if short else []),
     )
+    if len(rows) > 1:
+        rows = [*rows, hidden["mean"]]
     report.table(
         "hidden",
-        "Errors at the end of the hidings.",
-        ("marker", "hidings", "its error [mm]", "RMS of the unworn markers [mm]"),
-        [(hidden["marker"], hidden["windows"], hidden["error_mm"], hidden["unworn_rms_mm"])],
+        "Errors of the hidden marker, the longer it is hidden; the share of its coordinate errors "
+        "within one and two of the standard deviations that the estimator tells.",
+        ("marker", "after [s]", "its error [mm]", "RMS of the unworn markers [mm]", *_WITHIN),
+        [
+            (
+                row["marker"],
+                at["age_s"],
+                at["error_mm"],
+                at["unworn_rms_mm"],
+                *(_share(at[f"within_{n}"]) for n in (1, 2)),
+            )
+            for row in rows
+            for at in row["ages"]
+        ],
+    )
+    velocities = ("mean", "p99", "max")
+    nothing = {"marker": "none", "returning": hidden["unhidden"], "blending": {}}
+    report.table(
+        "returning",
+        "Sigma over all frames in which the marker is hidden; and the largest velocity error at "
+        "its return, mm per 1/120 s, over all hidings.",
+        (
+            "marker",
+            *_WITHIN,
+            *(f"{part} {end} [mm per 1/120 s]" for part in _PARTS for end in velocities),
+        ),
+        [
+            (
+                row["marker"],
+                *(_share(row.get(f"within_{n}")) for n in (1, 2)),
+                *(row[part].get(f"{end}_mm") for part in _PARTS for end in velocities),
+            )
+            for row in [*rows, nothing]
+        ],
     )
 
 

@@ -15,20 +15,31 @@ from training.missing_study import (
     NUMBER,
     TITLES,
     MissingScore,
+    methods_of,
 )
 from training.report.page import NEAREST, OURS, PALETTE, PAPER, Report, new_figure
 
 _LINES = {  # label, colour and sign of each method
     "conditional": ("conditional Gaussian alone", PALETTE[2], "s"),
     "temporal": ("temporal: goes on as it went", PALETTE[4], "^"),
-    "bridge": ("the bridge: Gaussian, fading offset", OURS, "o"),
+    "bridge": ("what the bridge does", OURS, "o"),
     "proximity": ("Breiman's proximities", NEAREST, "D"),
+}
+_WAYS = {
+    "conditional": "The conditional Gaussian fills in each frame for itself.",
+    "temporal": "Temporal: a marker goes on at its velocity in the body frame, which fades in "
+    f"{DAMPING:g} s.",
+    "bridge": "The bridge estimates from the markers present, as the model has learned to; what "
+    "that was off by when a marker went missing is added, and fades.",
+    "proximity": "Proximities: the mean of training poses, weighted by the trees in which they "
+    "share a leaf with this one, repeated until the leaves stay the same (Breiman).",
 }
 _ROWS = (("rms_mm", "RMS (mm)"), ("jerk_mm", "jerkiness (mm per 1/120 s)"))
 
 
 def add_missing(report: Report, scores: Sequence[MissingScore]) -> None:
     """Adds the section."""
+    methods = methods_of(one.method for one in scores)
     report.section(
         "Missing markers",
         "Errors over the unworn markers, mean over the sequences, when tracked markers are missing "
@@ -37,11 +48,7 @@ def add_missing(report: Report, scores: Sequence[MissingScore]) -> None:
         f"as long; gaps of one length take about {100 * GAP_SHARE:.0f} % of each marker's samples "
         "(the table has the share: long gaps in short captures vary); or single samples are "
         "dropped.",
-        "The conditional Gaussian fills in each frame for itself; the bridge adds what it was off "
-        "by when the marker went missing, and lets that fade. Temporal: a marker goes on at its "
-        f"velocity in the body frame, which fades in {DAMPING:g} s. Proximities: the mean of "
-        "training poses, weighted by the trees in which they share a leaf with this one, repeated "
-        "until the leaves stay the same (Breiman).",
+        *(_WAYS[method] for method in methods),
     )
     report.figure(
         "missing",
@@ -85,7 +92,8 @@ def missing_figure(scores: Sequence[MissingScore]) -> Figure:
         for (experiment, values), axes in zip(EXPERIMENTS.items(), row, strict=True):
             if (level := getattr(clean, name)) is not None:
                 axes.axhline(level, color=PAPER, linestyle="--", linewidth=1)
-            for method, (label, colour, sign) in _LINES.items():
+            for method in methods_of(one.method for one in scores):
+                label, colour, sign = _LINES[method]
                 curve = [
                     (one.value, getattr(one, name))
                     for one in scores

@@ -10,11 +10,13 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 from scipy.cluster.hierarchy import dendrogram
 
+from bridge.body_frame import CONSTRUCTIONS
 from bridge.model import ModelInfo
 from drivers.marker_set import MARKERS
 from training.clustering import VARIANCE, DivisiveKMeans
 from training.corpus import Corpus
 from training.fitting import Leaves
+from training.marker_wishes import Markers
 from training.moments import ONE, columns_of, matrix, mean_and_covariance
 from training.motions import category
 from training.ppca import components_for
@@ -22,8 +24,6 @@ from training.report import paper
 from training.report.page import NEAREST, OURS, PAPER, Report, new_figure
 
 Array = npt.NDArray[np.float64]
-# All but the origin, which never moves in the body frame: the paper's 40 markers, 120 features.
-MOVING = tuple(label for label in MARKERS if label != "C7")
 SHARES = (0.90, 0.95)  # of the variance, for the dimension of a segment
 WALKING = "walking"
 _SHOWN = 15  # components in figure 5
@@ -34,31 +34,38 @@ def add_training(
     report: Report,
     command: str,
     corpus: Corpus,
-    leaves: Leaves,
+    leaves: Leaves | None,
     info: ModelInfo,
     left_out: Sequence[tuple[str, str]],
 ) -> None:
-    """Adds all sections. command: as it was given. left_out: what could not be used, and why."""
+    """Adds all sections. command: as it was given. leaves: of a mixture; None of networks.
+    left_out: what could not be used, and why.
+    """
     kinds = np.array([category(capture.motion) for capture in corpus.captures])
+    # The paper's 40 markers, 120 features: all but an origin that never moves in the body frame.
+    moving = CONSTRUCTIONS[info.body_frame].features(MARKERS)
     _data(report, command, corpus, kinds, left_out)
-    _variance(report, corpus, info)
-    _walks(report, corpus, kinds)
-    _segments(report, corpus, kinds)
-    _clusters(report, corpus, leaves, kinds)
-    _forest(report, info)
+    _variance(report, corpus, moving, info)
+    _walks(report, corpus, moving, kinds)
+    _segments(report, corpus, moving, kinds)
+    if leaves is None:
+        _networks(report, corpus, info)
+    else:
+        _clusters(report, corpus, leaves, kinds)
+        _forest(report, info)
     _folds(report, info)
 
 
-def spectrum(moments: Array) -> Array:
-    """Variances (120,) of the principal components of all markers, largest first, m²."""
-    covariance = mean_and_covariance(matrix(moments), columns_of(MOVING))[1]
+def spectrum(moments: Array, labels: Markers) -> Array:
+    """Variances (3M,) of the principal components of these M markers, largest first, m²."""
+    covariance = mean_and_covariance(matrix(moments), columns_of(labels))[1]
     variances: Array = np.maximum(np.linalg.eigvalsh(covariance)[::-1], 0.0)
     return variances
 
 
-def dimensions(corpus: Corpus) -> dict[float, npt.NDArray[np.int64]]:
+def dimensions(corpus: Corpus, labels: Markers) -> dict[float, npt.NDArray[np.int64]]:
     """How many components hold each of SHARES of the variance of each segment (S,)."""
-    spectra = [spectrum(moments) for moments in corpus.moments]
+    spectra = [spectrum(moments, labels) for moments in corpus.moments]
     return {share: np.array([components_for(one, share) for one in spectra]) for share in SHARES}
 
 
@@ -106,8 +113,8 @@ def _data(
         report.table("left_out", "What was left out, and why.", ("what", "why"), left_out)
 
 
-def _variance(report: Report, corpus: Corpus, info: ModelInfo) -> None:
-    variances = spectrum(corpus.moments.sum(axis=0))
+def _variance(report: Report, corpus: Corpus, moving: Markers, info: ModelInfo) -> None:
+    variances = spectrum(corpus.moments.sum(axis=0), moving)
     covered = 100 * np.cumsum(variances) / variances.sum()
     figure, (axes,) = new_figure()
     count = np.arange(1, len(covered) + 1)
@@ -124,7 +131,8 @@ def _variance(report: Report, corpus: Corpus, info: ModelInfo) -> None:
     needed = [components_for(variances, share) for share in (0.95, 0.99)]
     report.section(
         "Redundancy (figure 3)",
-        f"The poses of all captures, 40 markers in the body frame: {needed[0]} components hold "
+        f"The poses of all captures, {len(moving)} markers in the body frame: {needed[0]} "
+        "components hold "
         f"95 % of the variance and {needed[1]} hold 99 %. The paper's {paper.PCA_FRAMES:,} frames "
         f"(walking, running, bending, washing) need {paper.PCA_COMPONENTS_95} and fewer than "
         f"{paper.PCA_COMPONENTS_99}.",
@@ -139,7 +147,7 @@ def _variance(report: Report, corpus: Corpus, info: ModelInfo) -> None:
     )
 
 
-def _walks(report: Report, corpus: Corpus, kinds: npt.NDArray[np.str_]) -> None:
+def _walks(report: Report, corpus: Corpus, moving: Markers, kinds: npt.NDArray[np.str_]) -> None:
     walking = np.flatnonzero(kinds == WALKING)
     if not len(walking):
         report.section("Walks (figure 5)", "None of the captures is a walk.")
@@ -151,9 +159,9 @@ def _walks(report: Report, corpus: Corpus, kinds: npt.NDArray[np.str_]) -> None:
         "sit.",
     )
     parts = [corpus.moments[corpus.capture == row].sum(axis=0) for row in walking]
-    alone = np.array([_shares(spectrum(part)) for part in parts])
-    together = _shares(spectrum(np.sum(parts, axis=0)))
-    centred = _shares(_spectrum_about_own_means(parts))
+    alone = np.array([_shares(spectrum(part, moving)) for part in parts])
+    together = _shares(spectrum(np.sum(parts, axis=0), moving))
+    centred = _shares(_spectrum_about_own_means(parts, moving))
     figure, (axes,) = new_figure()
     count = np.arange(1, _SHOWN + 1)
     for row, shares in zip(walking, alone, strict=True):
@@ -205,9 +213,9 @@ def _walks(report: Report, corpus: Corpus, kinds: npt.NDArray[np.str_]) -> None:
     )
 
 
-def _spectrum_about_own_means(parts: Sequence[Array]) -> Array:
-    """Variances (120,) of the components of several sets of frames, each about its own mean."""
-    columns = columns_of(MOVING)
+def _spectrum_about_own_means(parts: Sequence[Array], labels: Markers) -> Array:
+    """Variances (3M,) of the components of several sets of frames, each about its own mean."""
+    columns = columns_of(labels)
     matrices = [matrix(part) for part in parts]
     counts = np.array([whole[ONE, ONE] for whole in matrices])
     covariances = [mean_and_covariance(whole, columns)[1] for whole in matrices]
@@ -222,7 +230,7 @@ def _shares(variances: Array) -> Array:
     return shares
 
 
-def _segments(report: Report, corpus: Corpus, kinds: npt.NDArray[np.str_]) -> None:
+def _segments(report: Report, corpus: Corpus, moving: Markers, kinds: npt.NDArray[np.str_]) -> None:
     length = corpus.seconds * _FRAME
     report.section(
         "Segments",
@@ -248,7 +256,7 @@ def _segments(report: Report, corpus: Corpus, kinds: npt.NDArray[np.str_]) -> No
     axes.set(xlabel="length [frames of 1/120 s]", ylabel="segments")
     axes.legend()
     report.figure("segment_lengths", "Lengths of the segments.", figure)
-    dims = dimensions(corpus)
+    dims = dimensions(corpus, moving)
     of_segment = kinds[corpus.capture]
     names = sorted(
         set(of_segment), key=lambda name: float(np.median(dims[0.95][of_segment == name]))
@@ -431,7 +439,37 @@ def _forest(report: Report, info: ModelInfo) -> None:
 
 def _step_ms(info: ModelInfo) -> float:
     """Between the poses of a capture that the forest is grown on."""
-    return 1000 * float(info.training["recipe"]["forest_step"])
+    return 1000 * float(info.training["recipe"]["pose_step"])
+
+
+def _networks(report: Report, corpus: Corpus, info: ModelInfo) -> None:
+    recipe = info.training["recipe"]
+    network, examples = recipe["network"], recipe["examples"]
+    report.section(
+        "Networks",
+        "Two networks, each on top of a linear map: one for frames that have all tracked markers, "
+        "one that is told which are missing. From the tracked markers they estimate all "
+        f"{len(info.labels)} markers, and how far off each may be. The examples that they learn "
+        "from are made anew in every step: poses of the captures and their mirror images, of "
+        "bodies somewhat larger or smaller, measured with noise.",
+    )
+    report.table(
+        "networks",
+        "What they are and how they are trained.",
+        ("", ""),
+        (
+            ("tracked markers", ", ".join(info.tracked)),
+            ("units of the hidden layers", ", ".join(map(str, network["hidden"]))),
+            ("networks whose mean is taken", recipe["members"]),
+            ("units left out in training (%)", 100 * network["dropout"]),
+            ("steps of training", network["steps"]),
+            ("examples in each", network["batch"]),
+            ("highest learning rate", network["rate"]),
+            ("poses kept of the captures", len(corpus.poses)),
+            ("noise of a coordinate, standard deviation (mm)", 1000 * examples["noise"]),
+            ("size of the body, standard deviation (%)", 100 * examples["scale"]),
+        ),
+    )
 
 
 def _folds(report: Report, info: ModelInfo) -> None:

@@ -1,0 +1,98 @@
+import numpy as np
+import pytest
+from scipy import stats
+
+from drivers.marker_set import MARKERS
+from training.network import Network
+from training.regressor import POSE, Regressor
+from training.sigma import EDGES, FEWEST, counted, sigma_factors
+
+COUNT = 40_000
+
+
+def errors(random, law, count=COUNT):
+    """(count, 1, 3): of one marker."""
+    return law.rvs((count, 1, 3), random_state=random)
+
+
+def share(error, sigma):
+    return (np.abs(error) < sigma).mean()
+
+
+@pytest.mark.parametrize("true", [0.5, 1.0, 2.2])
+def test_of_gaussian_errors_the_factor_is_their_deviation(true):
+    random = np.random.default_rng(0)
+    sigma = random.uniform(0.005, 0.05, (COUNT, 1))
+    error = errors(random, stats.norm(scale=true)) * sigma[..., None]
+    assert sigma_factors([counted(error, sigma)]) == pytest.approx([true], rel=0.03)
+
+
+@pytest.mark.parametrize("law", [stats.t(5), stats.laplace(), stats.uniform(-1, 2)])
+def test_of_other_errors_it_is_between_what_one_and_two_sigma_want(law):
+    random = np.random.default_rng(0)
+    error = errors(random, law)
+    (factor,) = sigma_factors([counted(error, np.ones((COUNT, 1)))])
+    one, two = law.ppf(0.5 + 0.6827 / 2), law.ppf(0.5 + 0.9545 / 2) / 2
+    assert factor == pytest.approx(np.sqrt(one * two), rel=0.03)
+    assert min(one, two) < factor < max(one, two)
+
+
+def test_of_errors_with_heavy_tails_both_shares_are_near():
+    error = errors(np.random.default_rng(0), stats.t(5))
+    (factor,) = sigma_factors([counted(error, np.ones((COUNT, 1)))])
+    assert share(error, factor) == pytest.approx(0.68, abs=0.05)
+    assert share(error, 2 * factor) == pytest.approx(0.95, abs=0.05)
+
+
+def test_each_marker_has_its_own_and_sequences_count_together():
+    random = np.random.default_rng(0)
+    true = np.array([0.7, 1.0, 3.0])
+    error = random.normal(size=(COUNT, 3, 3)) * true[:, None]
+    sigma = np.ones((COUNT, 3))
+    parts = [counted(error[at : at + 5000], sigma[at : at + 5000]) for at in range(0, COUNT, 5000)]
+    np.testing.assert_array_equal(np.sum(parts, axis=0), counted(error, sigma))
+    np.testing.assert_allclose(sigma_factors(parts), true, rtol=0.03)
+
+
+def test_where_too_little_is_known_sigma_stays():
+    random = np.random.default_rng(0)
+    error = 5 * random.normal(size=(FEWEST, 2, 3))
+    error[FEWEST // 3 - 1 :, 0] = np.nan  # under FEWEST coordinates are left
+    factors = sigma_factors([counted(error, np.ones((FEWEST, 2)))])
+    assert factors[0] == 1.0
+    assert factors[1] == pytest.approx(5.0, rel=0.2)
+
+
+def test_errors_are_counted_by_how_often_sigma_they_are():
+    width = EDGES[1]
+    error = np.array([[0.5 * width, -1.5 * width, np.nan], [1e3, -1e3, 0.0]])[:, None]
+    counts = counted(error, np.ones((2, 1)))
+    assert counts.shape == (1, len(EDGES) - 1)
+    assert counts[0, :2].tolist() == [2, 1]
+    assert counts[0, -1] == 2  # all that is beyond
+    assert counts.sum() == 5
+    # Half the error in half the sigma is as much.
+    np.testing.assert_array_equal(counts, counted(error / 2, np.full((2, 1), 0.5)))
+
+
+def test_a_sigma_of_zero_is_always_too_small():
+    error = np.array([[[0.1, -0.1, 0.0]]])
+    counts = counted(error, np.zeros((1, 1)))
+    assert counts.sum() == counts[0, -1] == 2  # nothing can be said of no error
+
+
+@pytest.mark.parametrize("members", [1, 2])
+def test_a_network_takes_the_factors_and_estimates_the_same(members):
+    random = np.random.default_rng(0)
+    sizes = 9 + 4, 5, POSE + len(MARKERS)
+    rows = np.repeat([0, 2, 3], 3)
+    skip = random.normal(size=(14, POSE)).astype(np.float32)
+    networks = tuple(Network.random(sizes, random) for _ in range(members))
+    regressor = Regressor(np.zeros(9, np.float32), rows, skip, networks)
+    factors = random.uniform(0.5, 2.0, len(MARKERS))
+    features = random.normal(size=(6, 3, 3)).astype(np.float32)
+    present = np.ones((6, 4), np.float32)
+    pose, sigma = regressor.estimate(features, present)
+    same, changed = regressor.with_sigma(factors).estimate(features, present)
+    np.testing.assert_array_equal(same, pose)
+    np.testing.assert_allclose(changed, sigma * factors, rtol=1e-5)
