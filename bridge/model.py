@@ -164,6 +164,8 @@ class Model:
         """Raises where the graph does not give what its description says."""
         x = np.zeros((1, self.width), np.float32)
         if self.leaves:
+            if not self.info.sensitivity:
+                raise ValueError("sensitivity is not of shape (3U, 3F)")
             z, other = self.run(x, np.zeros((1, self.leaves), np.float32))
             expected = (1, 3 * len(self.info.unworn)), (1, self.leaves)
         else:

@@ -19,6 +19,7 @@ from training.moments import columns_of, matrix, mean_and_covariance, mirrored_m
 from training.network import Adam, Network
 from training.recipe import NetworkRecipe
 from training.regressor import POSE, STEP, Networks, Regressor
+from training.workers import single_threaded
 
 Indices = npt.NDArray[np.int64]
 
@@ -43,7 +44,7 @@ def fit_network(
     used = np.isin(corpus.segment, segments)
     capture = corpus.capture[corpus.segment[used]]
     real = np.array([one.real for one in corpus.captures])[capture]
-    whole, part = Parallel(require="sharedmem")(
+    whole, part = Parallel()(
         delayed(train_regressor)(
             corpus.poses[used], capture, real, tracked, construction, recipe, seed, share
         )
@@ -66,6 +67,7 @@ def fit_network(
     return Fitted(Networks(whole, part), info)
 
 
+@single_threaded
 def train_regressor(
     poses: Floats,
     capture: Indices,
@@ -79,9 +81,7 @@ def train_regressor(
     """Learns from poses (N, 41, 3), metres, in the body frame.
 
     capture: (N,), which of them are of one capture, in order. real: (N,), which are of real ones;
-    whole: the share of examples that
-    lack no marker. The members are trained by the
-    workers in force.
+    whole: the share of examples that lack no marker.
     """
 
     def examples(number: int) -> Examples:
@@ -95,8 +95,8 @@ def train_regressor(
     untrained = Regressor(mean, rows, skip, recipe.share)
     prior = _linear_prior(untrained, examples(recipe.members), recipe.network.batch)
     regressor = replace(untrained, skip=prior)
-    members = Parallel(require="sharedmem")(
-        delayed(_train_member)(regressor, examples(number), recipe, [seed, number])
+    members = (
+        _train_member(regressor, examples(number), recipe, [seed, number])
         for number in range(recipe.members)
     )
     return replace(regressor, members=tuple(members))

@@ -42,7 +42,7 @@ from training.pipeline import (
     candidate_covariance,
 )
 from training.progress import Advance, progress
-from training.recipe import RECIPES
+from training.recipe import RECIPES, NetworkRecipe
 from training.search_study import SearchStudy
 from training.selection_study import START_WORK, SelectionStudy, repeat_selection
 from training.selection_table import print_search, print_selection
@@ -226,7 +226,7 @@ def _compare(
     task: _Task, corpus: Corpus, sets: Sequence[Markers], advance: Advance
 ) -> list[SetScores]:
     options = task.options
-    with workers(options.cluster, corpus):
+    with workers(options.cluster, corpus, processes=isinstance(task.recipe, NetworkRecipe)):
         return compare_sets(
             corpus, options.data, task.folds, sets, task.recipe, options.seed, advance
         )

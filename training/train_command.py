@@ -26,7 +26,7 @@ from training.fitting import Fitted
 from training.folds import leave_out
 from training.pipeline import FIT_WORK, choose, train
 from training.progress import progress
-from training.recipe import RECIPES, MixtureRecipe
+from training.recipe import RECIPES, MixtureRecipe, NetworkRecipe
 from training.telling import Notices, command_line
 from training.workers import add_cluster_option, check_cluster, workers
 
@@ -74,7 +74,8 @@ def main(argv: list[str]) -> int:
         with workers(None):
             corpus = read_corpus(options.data, captures, recipe, advance, notices.warn)
         principal = wish or choose(corpus, folds, recipe, options.seed)
-        with workers(options.cluster, corpus):
+        networks = isinstance(recipe, NetworkRecipe)
+        with workers(options.cluster, corpus, processes=networks):
             fitted = train(
                 corpus,
                 options.data,

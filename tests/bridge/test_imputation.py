@@ -66,10 +66,10 @@ def test_the_estimator_uses_the_imputation_it_is_given() -> None:
     model = Model("default")
     info = model.info
     layout = Layout(info.tracked, 120.0)
-    toe = info.tracked.index("RTOE")
+    ankle = info.tracked.index("LANK")
     frames = random.normal(size=(30, len(info.tracked), 3)).astype(np.float32) * 0.05
     frames[:, info.tracked.index("LSHO"), 0] -= 0.2
-    frames[10:, toe] = np.nan
+    frames[10:, ankle] = np.nan
 
     def poses(estimator: PoseEstimator) -> Floats:
         steps = (MarkerFrame(n, n / 120, n / 120, layout, xyz) for n, xyz in enumerate(frames))
@@ -78,7 +78,7 @@ def test_the_estimator_uses_the_imputation_it_is_given() -> None:
     own = AtTheNeck()
     at_the_neck = poses(PoseEstimator(model, imputation=own))
     assert own.calls == len(frames)
-    c7, row = (info.labels.index(label) for label in ("C7", "RTOE"))
+    c7, row = (info.labels.index(label) for label in ("C7", "LANK"))
     np.testing.assert_allclose(at_the_neck[10:, row], at_the_neck[10:, c7], atol=1e-6)
     bridge = poses(PoseEstimator(model))
     np.testing.assert_array_equal(bridge[:10], at_the_neck[:10])

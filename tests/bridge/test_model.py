@@ -14,9 +14,9 @@ from bridge.model import METADATA_KEY, Model, ModelError
 DEFAULT = Path(str(files("bridge") / "models" / "default.onnx"))
 
 
-def changed(path: Path, **entries: object) -> Path:
-    """The default model with entries of its description replaced."""
-    graph = onnx.load(DEFAULT)
+def changed(path: Path, source: Path = DEFAULT, **entries: object) -> Path:
+    """A model with entries of its description replaced."""
+    graph = onnx.load(source)
     for entry in graph.metadata_props:
         if entry.key == METADATA_KEY:
             entry.value = json.dumps(json.loads(entry.value) | entries)
@@ -24,9 +24,10 @@ def changed(path: Path, **entries: object) -> Path:
     return path
 
 
-def test_the_default_model_tracks_the_papers_markers() -> None:
+def test_the_default_model_says_what_it_is() -> None:
     info = Model("default").info
-    assert info.principal == ("LFHD", "RELB", "LUPA", "RSHN", "LTOE", "RTOE")
+    assert info.estimator == "best"
+    assert len(info.principal) == 6
     assert info.references == ("C7", "LSHO", "RSHO")
     assert len(info.labels) == 41
     assert len(info.unworn) == 32
@@ -68,6 +69,22 @@ def test_a_file_that_is_no_model_gets_one_clear_line(tmp_path: Path, name, make,
     assert "\n" not in str(caught.value)
 
 
+def test_a_description_of_other_markers_than_the_graph_is_told(tmp_path: Path) -> None:
+    """As many as the description needs, but not those that the graph takes."""
+    info = Model("default").info
+    fewer = info.labels[:-1]
+    path = changed(tmp_path / "fewer.onnx", labels=fewer, sigma=info.sigma[:-1])
+    with pytest.raises(ModelError, match="the graph gives shapes"):
+        Model(path)
+
+
+def test_a_mixture_needs_its_global_map(tmp_path: Path, mixture_model: Model) -> None:
+    assert isinstance(mixture_model.path, Path)
+    path = changed(tmp_path / "mapless.onnx", mixture_model.path, sensitivity=[])
+    with pytest.raises(ModelError, match="sensitivity is not of shape"):
+        Model(path)
+
+
 def test_a_foreign_onnx_file_is_told_from_ours(tmp_path: Path) -> None:
     graph = onnx.load(DEFAULT)
     del graph.metadata_props[:]
@@ -78,9 +95,8 @@ def test_a_foreign_onnx_file_is_told_from_ours(tmp_path: Path) -> None:
 
 def test_a_copy_elsewhere_is_the_same_model(tmp_path: Path) -> None:
     shutil.copy(DEFAULT, tmp_path / "copy.onnx")
-    x = np.random.default_rng(0).normal(size=(1, 24)).astype(np.float32)
-    history = np.zeros((0, Model("default").leaves), np.float32)
-    for one, two in zip(
-        Model("default").run(x, history), Model(tmp_path / "copy.onnx").run(x, history), strict=True
-    ):
-        np.testing.assert_array_equal(one, two)
+    one, other = Model("default"), Model(tmp_path / "copy.onnx")
+    x = np.random.default_rng(0).normal(size=(1, one.width)).astype(np.float32)
+    present = np.ones((1, len(one.info.tracked)), np.float32)
+    for here, there in zip(one.regress(x, present), other.regress(x, present), strict=True):
+        np.testing.assert_array_equal(here, there)

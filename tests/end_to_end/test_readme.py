@@ -40,10 +40,11 @@ REPLAY = block("captures/walk.c3d")
 ENGINE = block("vmc://")
 MODEL = block("markerbridge train")
 FETCH = block("markerbridge fetch")
+CALIBRATE = block("markerbridge calibrate")
 
 
 def test_no_command_of_the_readme_is_left_out() -> None:
-    assert set(BLOCKS[2:]) == {SIMULATE, SESSION, REPLAY, ENGINE, MODEL, FETCH}
+    assert set(BLOCKS[2:]) == {SIMULATE, SESSION, REPLAY, ENGINE, MODEL, FETCH, CALIBRATE}
     for setting_up in BLOCKS[:2]:
         assert "apt-get install" in setting_up
         assert "pip install -c requirements.lock" in setting_up
@@ -130,6 +131,18 @@ def test_a_model_of_ones_own(data_dir: Path, tmp_path: Path) -> None:
         with shell(run, tmp_path) as bridge:
             time.sleep(LIVE)
             assert "poses out" in interrupted(bridge)
+
+
+def test_a_person_of_ones_own(data_dir: Path, tmp_path: Path) -> None:
+    (tmp_path / "captures").mkdir()
+    shutil.copy(data_dir / "real/02_05.c3d", tmp_path / "captures/me.c3d")
+    with shell(CALIBRATE, tmp_path) as calibration:
+        assert "calibrated" in finished(calibration, 60)
+    with shell(SIMULATE.replace("simulate", "simulate --model me.onnx"), tmp_path):
+        wait_for((tmp_path / "tracker").is_symlink, "the serial port")
+        with shell(f"markerbridge run serial:{tmp_path}/tracker --model me.onnx", tmp_path) as run:
+            time.sleep(LIVE)
+            assert "poses out" in interrupted(run)
 
 
 def test_captures_from_the_database(data_dir: Path, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from training.forest_error import HELD, forest_error
 from training.local_models import affine
 from training.mirroring import mirrored
 from training.moments import columns_of, moments_of
-from training.recipe import RECIPES, Recipe
+from training.recipe import RECIPES, MixtureRecipe
 
 SIX = ("LFHD", "RELB", "LUPA", "RSHN", "LTOE", "RTOE")
 ALL_POSES = {"pose_step": 0.0, "pose_rows": 10**6}
