@@ -130,6 +130,8 @@ class PoseEstimator:
         if lacking is not None:
             memory = np.full(len(sigma), imputer.memory[imputer.unseen >= MOMENT].min())
             memory[self._rows] = np.where(imputer.unseen < MOMENT, 1.0, imputer.memory)
+            # Nobody is surer for knowing less, whatever two networks say.
+            lacking = np.maximum(lacking, sigma)
             sigma = np.sqrt(memory**2 * sigma**2 + (1.0 - memory**2) * lacking**2)
         strayed = np.where(imputer.unseen < MOMENT, DRIFT * imputer.unseen, 0.0)
         sigma[self._rows] = np.sqrt(sigma[self._rows] ** 2 + imputer.away**2 + strayed**2)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +53,17 @@ class Corpus:
     moments: Array
     segment: Indices
     poses: Floats
+
+    def begun(self, share: float) -> Corpus:
+        """The same with the poses of each real capture's first part alone, so large a share of
+        them; its segments stay as they are.
+        """
+        capture = self.capture[self.segment]
+        counts = np.bincount(capture, minlength=len(self.captures))
+        number = np.arange(len(capture)) - (np.cumsum(counts) - counts)[capture]
+        real = np.array([one.real for one in self.captures])
+        kept = ~real[capture] | (number < share * counts[capture])
+        return replace(self, segment=self.segment[kept], poses=self.poses[kept])
 
     def without(self, names: frozenset[str]) -> Indices:
         """The segments of all captures but these."""

@@ -38,6 +38,7 @@ from training.workers import single_threaded
 AnyRecipe = MixtureRecipe | NetworkRecipe
 
 FIT_WORK = 50_000.0  # units of progress that one fit takes, one being a frame cut into segments
+BEGUN = 0.6  # of each real capture, whose end people who are known are scored on
 MAX_JUDGED = 100  # captures that a model without folds is judged on
 _LIBRARIES = ("markerbridge", "numpy", "onnx", "scikit-learn")
 
@@ -86,8 +87,7 @@ def train(
 ) -> Fitted:
     """The model of the corpus, with what it reaches on folds and, only told, on `tests`.
 
-    folder: where the captures to be scored are. FIT_WORK units of progress per fold, and as many
-    for the model itself.
+    folder: where the captures to be scored are. FIT_WORK units of progress for each of the `fits`.
     """
     held: list[Result] = []
     lacking: list[Result] = []
@@ -96,14 +96,16 @@ def train(
     faults = FAULTS if isinstance(recipe, NetworkRecipe) else FAULTS[:1]
     scored = score_folds(corpus, folder, folds, principal, recipe, seed, faults)
     for fold, results in zip(folds, scored, strict=True):
-        reached = "nothing left to train on" if results is None else "nothing to score"
+        reached = "nothing left to train on" if results is None else _reached(results[0])
         if results and results[0]:
             held += results[0]
             lacking += results[-1]
             left_out[fold.name] = _told(mean_scores(results[0]))
-            rms = left_out[fold.name]["rms_mm"]
-            reached = reached if rms is None else f"RMS {rms:.1f} mm"
         advance(f"without {fold.name}: {reached}", FIT_WORK)
+    known: list[list[Result]] = []
+    if folds and isinstance(recipe, NetworkRecipe):
+        known = _score_ends(corpus, folder, principal, recipe, seed, warn)
+        advance(f"the ends of captures: {_reached(known[0])}", FIT_WORK)
     fitted = fit_model(corpus, np.arange(len(corpus.frames)), principal, recipe, seed)
     model = loaded(fitted)
     accuracy: dict[str, Any] = {"folds": None, "test": None}
@@ -125,16 +127,18 @@ def train(
     if fitted.leaves and isinstance(recipe, MixtureRecipe):
         inputs = columns_of(model.info.features)[: model.width]
         wrong = forest_error(forest_rows(corpus, fitted.leaves, inputs), recipe.forest, seed)
-    graph, deviation = (
-        fitted.graph,
-        np.sqrt(np.nanmean([one.squared_error for one in held], axis=0)),
-    )
+    graph = fitted.graph
     if isinstance(graph, Networks):
+        again, again_lacking = known if known else ([], [])
         whole, part = (
             network.with_sigma(sigma_factors([one.surprise for one in results]))
-            for network, results in ((graph.whole, held), (graph.part, lacking))
+            for network, results in (
+                (graph.whole, held + again),
+                (graph.part, lacking + again_lacking),
+            )
         )
         graph = Networks(whole, part)
+    deviation = np.sqrt(np.nanmean([one.squared_error for one in held], axis=0))
     advance("the model itself", FIT_WORK)
     # As captured: mirror images are not counted.
     made_with = {
@@ -157,6 +161,34 @@ def train(
             training=fitted.info.training | made_with,
         ),
     )
+
+
+def fits(folds: Sequence[Fold], recipe: AnyRecipe) -> int:
+    """How many models are trained: one for each fold, one for people who are known, where a
+    network's sigma is to be right for them too, and the model itself.
+    """
+    return len(folds) + bool(folds and isinstance(recipe, NetworkRecipe)) + 1
+
+
+def _score_ends(
+    corpus: Corpus,
+    folder: Path,
+    principal: tuple[str, ...],
+    recipe: NetworkRecipe,
+    seed: int,
+    warn: Warn,
+) -> list[list[Result]]:
+    """For each of FAULTS the scores on the end of every real capture, from a model that has seen
+    how each begins: of people who are known, in motions that are not.
+    """
+    everything = np.arange(len(corpus.frames))
+    model = loaded(fit_model(corpus.begun(BEGUN), everything, principal, recipe, seed))
+    real = [capture for capture in corpus.captures if capture.real]
+    ends = [
+        replace(take, xyz=take.xyz[round(BEGUN * len(take.xyz)) :])
+        for take in stream(folder, real, warn)
+    ]
+    return [evaluate(model, ends, one) for one in FAULTS]
 
 
 def score_folds(
@@ -218,6 +250,11 @@ def loaded(fitted: Fitted) -> Model:
 def _some(captures: Sequence[Capture]) -> Sequence[Capture]:
     """At most MAX_JUDGED of the captures, evenly."""
     return captures[:: -(-len(captures) // MAX_JUDGED)]
+
+
+def _reached(results: Sequence[Result]) -> str:
+    rms = mean_scores(results).rms_mm if results else None
+    return "nothing to score" if rms is None else f"RMS {rms:.1f} mm"
 
 
 def _told(scores: Scores) -> dict[str, float | None]:

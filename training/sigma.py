@@ -11,7 +11,7 @@ Array = npt.NDArray[np.float64]
 Counts = npt.NDArray[np.int64]
 
 EDGES = np.linspace(0.0, 10.0, 401)  # of error over sigma; what is beyond is counted in the last
-WITHIN = 0.6827, 0.9545  # share of a Gaussian's errors within one and two sigma
+WITHIN = 0.6827  # share of a Gaussian's errors within one sigma
 FEWEST = 300  # coordinate errors that tell anything
 
 
@@ -27,14 +27,16 @@ def counted(error: npt.NDArray[np.floating], sigma: npt.NDArray[np.floating]) ->
 
 
 def sigma_factors(counts: Sequence[Counts]) -> Array:
-    """(M,): what sigma is to be multiplied by, so that errors are within one and two of it as often
-    as they should be; between the two where both cannot be had. 1 where too little is known.
+    """(M,): what sigma is to be multiplied by, so that errors are within it as often as they should
+    be. 1 where too little is known.
+
+    counts: of each capture, see `counted`.
     """
-    total = np.sum(counts, axis=0)
-    factors = np.ones(len(total))
-    for marker, row in enumerate(total):
-        if row.sum() >= FEWEST:
-            share = np.append(0.0, row.cumsum() / row.sum())
-            reached = [np.interp(within, share, EDGES) for within in WITHIN]
-            factors[marker] = np.sqrt(reached[0] * reached[1] / 2.0)
+    factors = np.ones(len(counts[0]))
+    for marker in range(len(factors)):
+        rows = [capture[marker] for capture in counts if capture[marker].any()]
+        if sum(row.sum() for row in rows) >= FEWEST:
+            # Captures count alike, as in all scores: one long hard one would outweigh the rest.
+            mean = np.mean([row.cumsum() / row.sum() for row in rows], axis=0)
+            factors[marker] = np.interp(WITHIN, np.append(0.0, mean), EDGES)
     return factors

@@ -24,7 +24,7 @@ from training.dataset import captures as captures_of
 from training.export import to_onnx
 from training.fitting import Fitted
 from training.folds import leave_out
-from training.pipeline import FIT_WORK, choose, train
+from training.pipeline import FIT_WORK, choose, fits, train
 from training.progress import progress
 from training.recipe import RECIPES, MixtureRecipe, NetworkRecipe
 from training.telling import Notices, command_line
@@ -67,7 +67,7 @@ def main(argv: list[str]) -> int:
             "no folds: the accuracy in the model file is that on its own training captures"
         )
     check_cluster(options.cluster)
-    work = work_of(options.data, captures) + (len(folds) + 1) * FIT_WORK
+    work = work_of(options.data, captures) + fits(folds, recipe) * FIT_WORK
     # One thread for linear algebra: the matrices are small, and the sums do not depend on the
     # machine's cores.
     with progress(notices.console, work) as advance, threadpool_limits(1):

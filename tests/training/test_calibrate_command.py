@@ -13,7 +13,7 @@ from bridge.model import Model
 from drivers.c3d_file import read_c3d, write_c3d
 from drivers.frame import Layout
 from drivers.marker_set import MARKERS
-from tests.training.small_networks import small_networks
+from tests.training.small_models import small_mixture, small_networks
 
 
 @pytest.fixture(scope="module")
@@ -26,14 +26,21 @@ def networks(data_dir, tmp_path_factory) -> str:
     return str(path)
 
 
+@pytest.fixture(scope="module")
+def mixture(small_dir, tmp_path_factory) -> str:
+    path = tmp_path_factory.mktemp("mixture") / "small.onnx"
+    small_mixture(path, small_dir, "07")
+    return str(path)
+
+
 @pytest.fixture
 def walk(data_dir: Path) -> str:
     return str(data_dir / "real/07_12.c3d")
 
 
 @pytest.mark.parametrize("kind", ["mixture", "networks"])
-def test_a_model_is_written_and_what_it_gained_told(kind, networks, walk, tmp_path, capsys) -> None:
-    model = "default" if kind == "mixture" else networks
+def test_a_model_is_written_and_what_it_gained_told(kind, walk, tmp_path, capsys, request) -> None:
+    model = request.getfixturevalue(kind)
     out, file = tmp_path / "mine.onnx", tmp_path / "gain.json"
     assert main(["calibrate", model, walk, "--out", str(out), "--json", str(file)]) == 0
     found = json.loads(file.read_text())

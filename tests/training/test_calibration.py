@@ -19,7 +19,7 @@ from bridge.regression import regression_of
 from drivers.c3d_file import read_c3d, write_c3d
 from drivers.frame import Layout, MarkerFrame
 from drivers.marker_set import MARKERS
-from tests.training.small_networks import small_networks
+from tests.training.small_models import small_mixture, small_networks
 from training.calibration import (
     NOISE,
     SHARE,
@@ -36,8 +36,8 @@ from training.reference import ReferenceModel
 
 
 @pytest.fixture(scope="module")
-def model() -> Model:
-    return Model("default")
+def mixture(small_dir, tmp_path_factory) -> Model:
+    return small_mixture(tmp_path_factory.mktemp("mixture") / "small.onnx", small_dir, "07")
 
 
 @pytest.fixture(scope="module")
@@ -79,17 +79,17 @@ def _rms(model: Model, xyz: np.ndarray) -> float:
     return float(np.sqrt(np.nanmean(off**2)))
 
 
-def test_the_map_added_is_the_ridge_of_what_the_mixture_is_off_by(model, walk, tmp_path) -> None:
+def test_the_map_added_is_the_ridge_of_what_the_mixture_is_off_by(mixture, walk, tmp_path) -> None:
     """Against numpy's least squares with the penalty as further rows, and a forward run."""
     path = tmp_path / "mine.onnx"
-    path.write_bytes(calibrated(model, walk[:130], 120.0))
-    x, off = _errors(model, walk[:130])
+    path.write_bytes(calibrated(mixture, walk[:130], 120.0))
+    x, off = _errors(mixture, walk[:130])
     penalty = np.sqrt(len(x)) * NOISE * np.eye(x.shape[1], x.shape[1] + 1)
     rows = np.vstack([np.column_stack([x, np.ones(len(x))]), penalty])
     wanted = np.vstack([off, np.zeros((x.shape[1], off.shape[1]))])
     correction, *_ = np.linalg.lstsq(rows, wanted, rcond=None)
-    history = np.zeros((0, model.leaves), np.float32)
-    reference = ReferenceModel(model.path)
+    history = np.zeros((0, mixture.leaves), np.float32)
+    reference = ReferenceModel(mixture.path)
     for frame in x[::20]:
         before, p = reference.run(frame[None], history)
         after, p_after = Model(path).run(frame[None], history)
@@ -134,9 +134,9 @@ def test_the_correction_is_what_the_file_says_more(networks, mine, walk) -> None
         np.testing.assert_allclose(moved[:, columns], expected, atol=1e-4)
 
 
-def test_the_estimate_comes_nearer_on_the_rest_of_the_walk(model, networks, mine, walk) -> None:
+def test_the_estimate_comes_nearer_on_the_rest_of_the_walk(mixture, networks, mine, walk) -> None:
     for before, after in (
-        (model, adapted(model, walk[:130], 120.0)),
+        (mixture, adapted(mixture, walk[:130], 120.0)),
         (networks, mine),
     ):
         assert _rms(after, walk[130:]) < 0.7 * _rms(before, walk[130:])
@@ -181,8 +181,8 @@ def test_sigma_shrinks_within_bounds_and_the_rest_of_the_file_stays(networks, mi
     assert 0.5 < shrinks[0, 0] < 0.99  # a second of walking does not tell everything
 
 
-def test_too_few_whole_frames_are_refused(model, networks, walk) -> None:
-    for one in (model, networks):
+def test_too_few_whole_frames_are_refused(mixture, networks, walk) -> None:
+    for one in (mixture, networks):
         with pytest.raises(DatasetError, match=r"needs 0.25 s with all 41 .*there are 0.12 s"):
             calibrated(one, walk[:20], 120.0)
 

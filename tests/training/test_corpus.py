@@ -56,6 +56,17 @@ def test_poses_are_kept_within_the_limit_from_all_segments(small_dir, corpus):
     np.testing.assert_array_equal(few.moments, corpus.moments)
 
 
+def test_of_begun_captures_the_real_ones_lack_their_ends(corpus):
+    begun = corpus.begun(0.6)
+    capture, kept = corpus.capture[corpus.segment], begun.capture[begun.segment]
+    for number, one in enumerate(corpus.captures):
+        poses, first = corpus.poses[capture == number], begun.poses[kept == number]
+        assert len(first) == (np.ceil(0.6 * len(poses)) if one.real else len(poses))
+        np.testing.assert_array_equal(first, poses[: len(first)])
+    np.testing.assert_array_equal(begun.moments, corpus.moments)
+    assert {one.real for one in corpus.captures} == {True, False}
+
+
 def test_the_order_of_work_changes_nothing(small_dir, corpus):
     again = read_corpus(  # without workers: one after the other
         small_dir, training_captures(small_dir), RECIPE, lambda *_: None, pytest.fail

@@ -119,7 +119,7 @@ def test_faults_make_it_worse_and_each_option_arrives(small_dir, tmp_path, capsy
         return json.loads(file.read_text())["mean"]
 
     clean = mean()
-    assert mean("--noise", "2mm")["jerk_mm"] > clean["jerk_mm"] + 1
+    assert mean("--noise", "2mm")["jerk_mm"] > clean["jerk_mm"] + 0.1
     assert mean("--drop", "30%")["rms_all_mm"] > clean["rms_all_mm"]
     gaps = mean("--gaps", "30%:10-100")
     assert gaps["rms_mm"] > clean["rms_mm"]
@@ -132,7 +132,8 @@ def test_missing_truth_gives_null_and_valid_json(model, takes):
     truth[:, [MARKERS.index(label) for label in model.info.unworn]] = np.nan
     blind = type(take)(take.name, "x", "", "", True, 120.0, truth)
     found = report(evaluate(model, [blind]), model.info)
-    assert [found["mean"][name] for name in SCORES] == [None, pytest.approx(0.0), None, None]
+    assert [found["mean"][name] for name in SCORES if name != "rms_all_mm"] == [None] * 3
+    assert found["mean"]["rms_all_mm"] < 3  # of worn markers alone: what the filter makes of them
     json.dumps(found, allow_nan=False)
     short = type(take)(take.name, "x", "", "", True, 120.0, take.xyz[:3])
     assert report(evaluate(model, [short]), model.info)["latency_us"] == {
@@ -173,7 +174,8 @@ def test_the_trace_is_the_scores_frame_by_frame(model, takes, baseline):
         assert np.nanmean(nearest.jerk) == pytest.approx(scores.nn_jerk_mm, rel=0.05)
 
 
-def test_velocity_errors_are_counted_at_transitions_and_apart(model, takes):
+def test_velocity_errors_are_counted_at_transitions_and_apart(mixture_model, takes):
+    model = mixture_model
     take = next(take for take in takes if take.split == "test")
     (result,) = evaluate(model, [take])
     unworn = take.xyz[:, [MARKERS.index(label) for label in model.info.unworn]]
@@ -189,7 +191,10 @@ def test_velocity_errors_are_counted_at_transitions_and_apart(model, takes):
     assert mean == pytest.approx(result.scores.jerk_mm, abs=0.5)
 
 
-def test_without_the_mixture_it_is_rougher_and_transitions_are_single_frames(model, takes):
+def test_without_the_mixture_it_is_rougher_and_transitions_are_single_frames(
+    mixture_model, takes
+):
+    model = mixture_model
     tests = [take for take in takes if take.split == "test"]
     (mixed,) = evaluate(model, tests)
     (plain,) = score(PoseEstimator(model, history=0), tests)

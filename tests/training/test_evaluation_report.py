@@ -228,7 +228,7 @@ def test_calibrated_and_with_a_marker_hidden(small_dir, tmp_path):
     for folder in ("data", "report"):
         (tmp_path / folder).mkdir()
     shutil.copy(small_dir / TEST, tmp_path / "data" / "walk.c3d")
-    argv = ["default", str(tmp_path / "data"), "--hide", "RTOE@2.5s", "--calibrate", "1s"]
+    argv = ["default", str(tmp_path / "data"), "--hide", "RANK@2.5s", "--calibrate", "1s"]
     argv += ["--report", str(tmp_path / "report"), "--json", str(tmp_path / "found.json")]
     assert main(argv) == 0
     page = check_page(tmp_path / "report" / "index.html")

@@ -102,7 +102,7 @@ def networks(request, minimal_info, tmp_path_factory):
                 bias[:] = random.normal(0, 0.2, bias.shape)
             member.weights[-1][POSE:] -= 3.0  # sigma is some centimetres
         skip = random.normal(0, 0.1, (inputs + 1, POSE)).astype(np.float32)
-        return Regressor(mean, rows, skip, members)
+        return Regressor(mean, rows, skip, 0.8, members)
 
     # Of different sizes: the two may differ in all but what they take and give.
     graph = Networks(regressor((32, 24)), regressor((40,)))

@@ -28,13 +28,20 @@ def test_of_gaussian_errors_the_factor_is_their_deviation(true):
 
 
 @pytest.mark.parametrize("law", [stats.t(5), stats.laplace(), stats.uniform(-1, 2)])
-def test_of_other_errors_it_is_between_what_one_and_two_sigma_want(law):
+def test_of_other_errors_as_many_are_within_it_as_of_gaussian_ones(law):
     random = np.random.default_rng(0)
     error = errors(random, law)
     (factor,) = sigma_factors([counted(error, np.ones((COUNT, 1)))])
-    one, two = law.ppf(0.5 + 0.6827 / 2), law.ppf(0.5 + 0.9545 / 2) / 2
-    assert factor == pytest.approx(np.sqrt(one * two), rel=0.03)
-    assert min(one, two) < factor < max(one, two)
+    assert factor == pytest.approx(law.ppf(0.5 + 0.6827 / 2), rel=0.03)
+
+
+def test_captures_count_alike_however_long():
+    random = np.random.default_rng(0)
+    short, long = random.normal(size=(2000, 1, 3)), 3 * random.normal(size=(COUNT, 1, 3))
+    counts = [counted(error, np.ones((len(error), 1))) for error in (short, long)]
+    (factor,) = sigma_factors(counts)
+    both = np.mean([share(short, factor), share(long, factor)])
+    assert both == pytest.approx(0.6827, abs=0.01)
 
 
 def test_of_errors_with_heavy_tails_both_shares_are_near():
@@ -88,7 +95,7 @@ def test_a_network_takes_the_factors_and_estimates_the_same(members):
     rows = np.repeat([0, 2, 3], 3)
     skip = random.normal(size=(14, POSE)).astype(np.float32)
     networks = tuple(Network.random(sizes, random) for _ in range(members))
-    regressor = Regressor(np.zeros(9, np.float32), rows, skip, networks)
+    regressor = Regressor(np.zeros(9, np.float32), rows, skip, 0.8, networks)
     factors = random.uniform(0.5, 2.0, len(MARKERS))
     features = random.normal(size=(6, 3, 3)).astype(np.float32)
     present = np.ones((6, 4), np.float32)
