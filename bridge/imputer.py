@@ -59,6 +59,7 @@ class Imputer:
         self._last: Floats = np.full(self._rest.shape, np.nan, np.float32)
         self.unseen = np.full(len(self._rest), np.inf)
         self._quiet = True
+        self._whole = False  # nothing to blend, and all were seen in the frame before
 
     @property
     def away(self) -> Array:
@@ -74,6 +75,9 @@ class Imputer:
         measured: (T, 3) metres, world, NaN where missing; present: (T,), at least one; velocity:
         (T, 3) m/s, of each at its last sighting. interval: s since the frame before.
         """
+        if self._whole and present.all():
+            self._last = self._before = self._shown = measured
+            return measured, None
         # The frame before's, of all tracked markers: it does not leap as markers come and go.
         rotation = self._body.rotation
         before = None if self._before is None else ~np.isnan(self._before[:, 0])
@@ -92,6 +96,7 @@ class Imputer:
             moved = found + (self._remembered + self._rest) @ rotation.T
             found = moved.astype(np.float32)
         self._shown = found
+        self._whole = self._quiet and not self.unseen.any()
         return found, sigma
 
     def hold(self, shown: Floats) -> None:

@@ -326,3 +326,19 @@ def test_reset_forgets_the_performer(model, walk) -> None:
     estimator.reset()
     for one, two in zip(first, [estimator.step(frame).xyz for frame in frames], strict=True):
         np.testing.assert_array_equal(one, two)
+
+
+def test_frames_that_are_lost_on_the_way_take_their_time(network_model, whole_walk) -> None:
+    """Every other frame of a stream is one of half the rate: noise, speeds and blends are in
+    seconds.
+    """
+    info = network_model.info
+    xyz = whole_walk[::2, [MARKERS.index(label) for label in info.tracked]].copy()
+    xyz[40:60, 0] = np.nan
+    slow = steps(network_model, xyz, 60.0)
+    estimator, layout = PoseEstimator(network_model), Layout(info.tracked, 120.0)
+    for i, frame in enumerate(xyz):
+        pose = estimator.step(MarkerFrame(2 * i, i / 60, i / 60, layout, frame))
+        if i:  # the first has no frame before it
+            np.testing.assert_allclose(pose.xyz, slow[i].xyz, atol=2e-3)
+            np.testing.assert_array_equal(pose.provenance, slow[i].provenance)

@@ -120,7 +120,7 @@ def test_without_a_truth_there_is_one_body_in_the_middle_and_no_meter(tmp_path) 
 
 def test_imputed_and_lost_markers_have_their_colours(tmp_path) -> None:
     pixels = picture(
-        tmp_path, pose(provenance={"RELB": Provenance.IMPUTED, "LUPA": Provenance.LOST}), None
+        tmp_path, pose(provenance={"LWRB": Provenance.IMPUTED, "RSHN": Provenance.LOST}), None
     )
     assert 0.5 < discs(pixels, ORANGE) < 1.3
     assert 0.3 < discs(pixels, GREY) < 1.3

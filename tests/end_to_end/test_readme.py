@@ -140,7 +140,7 @@ def test_a_person_of_ones_own(data_dir: Path, tmp_path: Path) -> None:
         assert "calibrated" in finished(calibration, 60)
     with shell(SIMULATE.replace("simulate", "simulate --model me.onnx"), tmp_path):
         wait_for((tmp_path / "tracker").is_symlink, "the serial port")
-        with shell(f"markerbridge run serial:{tmp_path}/tracker --model me.onnx", tmp_path) as run:
+        with shell("markerbridge run serial:/tmp/tracker --model me.onnx", tmp_path) as run:
             time.sleep(LIVE)
             assert "poses out" in interrupted(run)
 

@@ -191,9 +191,7 @@ def test_velocity_errors_are_counted_at_transitions_and_apart(mixture_model, tak
     assert mean == pytest.approx(result.scores.jerk_mm, abs=0.5)
 
 
-def test_without_the_mixture_it_is_rougher_and_transitions_are_single_frames(
-    mixture_model, takes
-):
+def test_without_the_mixture_it_is_rougher_and_transitions_are_single_frames(mixture_model, takes):
     model = mixture_model
     tests = [take for take in takes if take.split == "test"]
     (mixed,) = evaluate(model, tests)
