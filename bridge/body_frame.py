@@ -103,8 +103,7 @@ class BodyFrame:
         if not present.any():
             self.sigma = math.inf
             return
-        exact = bool(present[self._origin].all())
-        origin = points[self._origin].mean(axis=0) if exact else None
+        origin = self._middle(points)
         yaw = self._shoulder_yaw(points)
         if yaw is None:
             yaw = self._fitted_yaw(points, present, origin)
@@ -123,8 +122,17 @@ class BodyFrame:
     def learn(self, xyz: Floats) -> None:
         """Takes the markers, where they tell origin and yaw exactly, as the configuration known."""
         present = ~np.isnan(xyz[:, 0])
-        if present[[*self._origin, self._left, self._right]].all():
+        if present.all():
+            self._configuration = (xyz - self.origin) @ self.rotation
+        elif present[[*self._origin, self._left, self._right]].all():
             self._configuration[present] = (xyz[present] - self.origin) @ self.rotation
+
+    def _middle(self, points: Array) -> Array | None:
+        """The origin; None where one of its markers is missing."""
+        middle = points[self._origin[0]]
+        if len(self._origin) > 1:
+            middle = points[self._origin].mean(axis=0)
+        return None if math.isnan(middle[0]) else middle
 
     def _turn(self, yaw: float) -> None:
         self.yaw = yaw

@@ -127,14 +127,11 @@ class PoseEstimator:
         """The pose (M, 3) in the world and its sigma (M,): all tracked markers first, wherever
         they come from, then all others.
         """
-        imputer, body = self._imputer, self._body
+        imputer = self._imputer
+        if imputer.whole and present.all():
+            return self._whole(imputer.pass_on(measured), measured)
         tracked, lacking = imputer.complete(measured, present, self._filter.velocity, interval)
-        body.place(tracked)
-        body.learn(measured)
-        pose, sigma = self.regression.estimate(body.to_body(tracked))
-        world = body.to_world(pose)
-        world[self._rows] = tracked
-        sigma[self._rows] = NOISE
+        world, sigma = self._whole(tracked, measured)
         if lacking is not None:
             memory = np.full(len(sigma), imputer.memory[imputer.unseen >= MOMENT].min())
             memory[self._rows] = np.where(imputer.unseen < MOMENT, 1.0, imputer.memory)
@@ -144,6 +141,19 @@ class PoseEstimator:
         strayed = np.where(imputer.unseen < MOMENT, DRIFT * imputer.unseen, 0.0)
         sigma[self._rows] = np.sqrt(sigma[self._rows] ** 2 + imputer.away**2 + strayed**2)
         return world, sigma.astype(np.float32)
+
+    def _whole(self, tracked: Floats, measured: Floats) -> tuple[Floats, Floats]:
+        """The pose (M, 3) in the world and its sigma (M,), as if all tracked markers (T, 3) were
+        measured; the body frame learns from those that are.
+        """
+        body = self._body
+        body.place(tracked)
+        body.learn(measured)
+        pose, sigma = self.regression.estimate(body.to_body(tracked))
+        world = body.to_world(pose)
+        world[self._rows] = tracked
+        sigma[self._rows] = NOISE
+        return world, sigma
 
     def _filled(
         self, measured: Floats, present: Mask, interval: float, imputation: Imputation

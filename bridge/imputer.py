@@ -30,7 +30,8 @@ class Imputer:
 
     body: the performer's frame, which it places while markers are missing. memory: (T,), how much
     of the last sighting is in each marker, from 1 to 0. away: (T,) metres, how far a marker that
-    came back still is from where it is measured. unseen: (T,), seconds since each was seen.
+    came back still is from where it is measured. unseen: (T,), seconds since each was seen. whole:
+    there is nothing to blend, and all were seen in the frame before.
     """
 
     def __init__(self, regression: Regression, body: BodyFrame, markers: int) -> None:
@@ -59,7 +60,7 @@ class Imputer:
         self._last: Floats = np.full(self._rest.shape, np.nan, np.float32)
         self.unseen = np.full(len(self._rest), np.inf)
         self._quiet = True
-        self._whole = False  # nothing to blend, and all were seen in the frame before
+        self.whole = False
 
     @property
     def away(self) -> Array:
@@ -75,9 +76,6 @@ class Imputer:
         measured: (T, 3) metres, world, NaN where missing; present: (T,), at least one; velocity:
         (T, 3) m/s, of each at its last sighting. interval: s since the frame before.
         """
-        if self._whole and present.all():
-            self._last = self._before = self._shown = measured
-            return measured, None
         # The frame before's, of all tracked markers: it does not leap as markers come and go.
         rotation = self._body.rotation
         before = None if self._before is None else ~np.isnan(self._before[:, 0])
@@ -96,8 +94,13 @@ class Imputer:
             moved = found + (self._remembered + self._rest) @ rotation.T
             found = moved.astype(np.float32)
         self._shown = found
-        self._whole = self._quiet and not self.unseen.any()
+        self.whole = self._quiet and not self.unseen.any()
         return found, sigma
+
+    def pass_on(self, measured: Floats) -> Floats:
+        """As `complete`, where `whole` is true and all markers are present again."""
+        self._last = self._before = self._shown = measured
+        return measured
 
     def hold(self, shown: Floats) -> None:
         """The markers were shown (T, 3) where nothing could be estimated from them."""
