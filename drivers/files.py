@@ -1,10 +1,12 @@
-"""Files that appear whole or not at all."""
+"""Files that appear whole or not at all, and JSON that a machine reads."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from drivers.errors import MarkerbridgeError
 
@@ -26,5 +28,14 @@ def write_whole(path: Path, content: bytes) -> None:
     try:
         with whole_file(path) as part:
             part.write_bytes(content)
+    except OSError as error:
+        raise MarkerbridgeError(f"cannot write {path}: {error.strerror}") from error
+
+
+def write_json(path: Path, found: Mapping[str, Any]) -> None:
+    """Writes JSON. Raises MarkerbridgeError where that cannot be."""
+    # In place and not whole or not at all: it may be /dev/stdout.
+    try:
+        path.write_text(json.dumps(found, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     except OSError as error:
         raise MarkerbridgeError(f"cannot write {path}: {error.strerror}") from error

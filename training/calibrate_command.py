@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from bridge.model import Model
 from drivers.c3d_file import read_c3d
 from drivers.errors import MarkerbridgeError, UsageError
-from drivers.files import write_whole
+from drivers.files import write_json, write_whole
 from drivers.frame import Floats
 from drivers.marker_set import MARKERS
 from drivers.options import checked, positive
@@ -84,7 +83,7 @@ def main(argv: list[str]) -> int:
     }
     write_whole(options.out, content)
     if options.json is not None:
-        _write_json(options.json, found)
+        write_json(options.json, found)
     _print(found)
     before, after = (scores["rms_mm"] for scores in scored.values())
     if before is not None and after is not None and after > before:
@@ -129,14 +128,6 @@ def _print(found: dict[str, Any]) -> None:
         told = ["-" if value is None else format(value, form) for value, form in cells]
         table.add_row(which, *told)
     Console().print(table)
-
-
-def _write_json(path: Path, found: dict[str, Any]) -> None:
-    # Written in place: it may be /dev/stdout.
-    try:
-        path.write_text(json.dumps(found, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise MarkerbridgeError(f"cannot write {path}: {error.strerror}") from error
 
 
 def _parser() -> argparse.ArgumentParser:

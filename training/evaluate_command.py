@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -15,6 +13,7 @@ from rich.console import Console
 from bridge.estimator import PoseEstimator
 from bridge.model import Model
 from drivers.errors import MarkerbridgeError, UsageError
+from drivers.files import write_json
 from drivers.options import checked, parse_seconds
 from simulators.fault_options import add_fault_options, faults_of
 from training.dataset import (
@@ -98,7 +97,7 @@ def main(argv: list[str]) -> int:
         found["missing_study"] = [one.to_json() for one in missing]
     print_evaluation(found)
     if options.json is not None:
-        _write_json(options.json, found)
+        write_json(options.json, found)
     if options.report is not None:
         from training.report.evaluation import Run, default_shown, evaluation_report
         from training.report.missing import add_missing
@@ -239,11 +238,3 @@ def _parser() -> argparse.ArgumentParser:
 def _name(path: Path) -> str:
     """The last part of a path: what a report may tell of where things are."""
     return path.resolve().name
-
-
-def _write_json(path: Path, found: dict[str, Any]) -> None:
-    # Written in place: it may be /dev/stdout.
-    try:
-        path.write_text(json.dumps(found, indent=2, allow_nan=False) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise MarkerbridgeError(f"cannot write {path}: {error.strerror}") from error

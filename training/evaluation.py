@@ -227,7 +227,7 @@ def score_take(
     info = estimator.model.info
     labels = [MARKERS.index(label) for label in info.labels]
     unworn = [info.labels.index(label) for label in info.unworn]
-    estimate, sigma, leaves, guessed, seconds = _run(estimator, measured, take.rate)
+    estimate, sigma, leaves, guessed, seconds = run(estimator, measured, take.rate)
     truth = take.xyz[:, labels]
     true, estimated = truth[:, unworn], estimate[:, unworn]
     gamma = velocity_error(estimated, true, take.rate)
@@ -267,7 +267,7 @@ def score_take(
     )
 
 
-def _run(
+def run(
     estimator: PoseEstimator, measured: Floats, rate: float
 ) -> tuple[Floats, Floats, npt.NDArray[np.intp], npt.NDArray[np.bool_], Array]:
     """One sequence from its start: the poses (N, M, 3), their sigma (N, M), the leaf with most

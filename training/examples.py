@@ -13,14 +13,13 @@ import numpy as np
 import numpy.typing as npt
 
 from bridge.body_frame import FLOOR, Construction
+from bridge.estimator import ENOUGH
 from drivers.frame import Floats
 from drivers.marker_set import MARKERS
 from training.mirroring import mirrored
 
 Mask = npt.NDArray[np.bool_]
 Indices = npt.NDArray[np.int64]
-
-MIN_PRESENT = 3  # the estimator holds the pose with fewer
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,9 +112,9 @@ class Examples:
         chance[random.random(count) < self._whole] = 0.0
         shape = count, len(self._tracked)
         present = random.random(shape) >= chance
-        # Of too few, as many as are needed come back.
+        # Of too few for the estimator, as many as it needs come back.
         order = random.random(shape).argsort(axis=1)
-        present |= (order < MIN_PRESENT) & (present.sum(axis=1, keepdims=True) < MIN_PRESENT)
+        present |= (order < ENOUGH) & (present.sum(axis=1, keepdims=True) < ENOUGH)
         return np.asarray(present)
 
     def _placed(self, poses: Floats, known: Floats, present: Mask) -> Floats:

@@ -12,11 +12,11 @@ import numpy.typing as npt
 
 from bridge.estimator import PoseEstimator
 from bridge.model import Model, ModelInfo
-from drivers.frame import Floats, Layout, MarkerFrame
+from drivers.frame import Floats
 from drivers.marker_set import MARKERS
 from simulators.corruption import Faults
 from training.dataset import Take
-from training.evaluation import measured_markers
+from training.evaluation import measured_markers, run
 from training.metrics import frame_rms, row_mean, velocity_error
 from training.progress import Advance
 
@@ -140,12 +140,12 @@ def evaluate_hidden(
         for start in starts:
             window = slice(start, start + back + after)
             true = truth[window]
-            whole, _ = _run(estimator, measured[window], take.rate)
+            whole, *_ = run(estimator, measured[window], take.rate)
             unhidden.append(_largest(whole[back - 1 :], true[back - 1 :], take.rate))
             for marker in markers:
                 seen = measured[window].copy()
                 seen[before:back, info.tracked.index(marker)] = np.nan
-                poses, sigma = _run(estimator, seen, take.rate)
+                poses, sigma, *_ = run(estimator, seen, take.rate)
                 hidden = poses[before:back], sigma[before:back], true[before:back]
                 errors[marker].append(_errors(info, marker, ages, *hidden))
                 returned = poses[back - 1 :]
@@ -169,17 +169,6 @@ def evaluate_hidden(
         unhidden=_spread(unhidden),
         too_short=tuple(too_short),
     )
-
-
-def _run(estimator: PoseEstimator, measured: Floats, rate: float) -> tuple[Floats, Floats]:
-    """The poses (N, M, 3) and their sigma (N, M) from the tracked markers (N, T, 3) on."""
-    layout = Layout(estimator.model.info.tracked, rate)
-    estimator.reset()
-    poses = [
-        estimator.step(MarkerFrame(index, index / rate, index / rate, layout, xyz))
-        for index, xyz in enumerate(measured)
-    ]
-    return np.array([pose.xyz for pose in poses]), np.array([pose.sigma for pose in poses])
 
 
 def _errors(

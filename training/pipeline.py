@@ -50,10 +50,10 @@ Indices = npt.NDArray[np.int64]
 CANDIDATES = tuple(label for label in MARKERS if label not in REFERENCES)
 
 
-def candidate_covariance(corpus: Corpus) -> Array:
+def candidate_covariance(corpus: Corpus, candidates: tuple[str, ...] = CANDIDATES) -> Array:
     """Covariance of the markers that may be principal, over all frames of the corpus, m²."""
     whole = matrix(corpus.moments.sum(axis=0))
-    return mean_and_covariance(whole, columns_of(CANDIDATES))[1]
+    return mean_and_covariance(whole, columns_of(candidates))[1]
 
 
 def choose(corpus: Corpus, folds: Sequence[Fold], recipe: AnyRecipe, seed: int) -> tuple[str, ...]:
@@ -63,15 +63,17 @@ def choose(corpus: Corpus, folds: Sequence[Fold], recipe: AnyRecipe, seed: int) 
     references = CONSTRUCTIONS[recipe.body_frame].references
     if isinstance(recipe, MixtureRecipe) and references == REFERENCES:
         return choose_principal(corpus, seed)
-    wishes = Wishes(alone=references != REFERENCES)
+    choice = Wishes(alone=references != REFERENCES).choice()
     start = residuals(corpus, folds or leave_out(corpus.captures), references)
-    ranked = search(start, wishes.choice(), seed, lambda *_: None)
-    return tuple(label for label in ranked[0].markers if label not in references)
+    ranked = search(start, choice, seed, lambda *_: None)
+    return choice.beside_references(ranked[0].markers)
 
 
-def choose_principal(corpus: Corpus, seed: int) -> tuple[str, ...]:
+def choose_principal(
+    corpus: Corpus, seed: int, candidates: tuple[str, ...] = CANDIDATES
+) -> tuple[str, ...]:
     """The principal markers by the data (paper 3.1.1); the references are worn anyway."""
-    return select_markers(candidate_covariance(corpus), CANDIDATES, seed).markers
+    return select_markers(candidate_covariance(corpus, candidates), candidates, seed).markers
 
 
 def train(
@@ -102,7 +104,7 @@ def train(
             lacking += results[-1]
             left_out[fold.name] = _told(mean_scores(results[0]))
         advance(f"without {fold.name}: {reached}", FIT_WORK)
-    known: list[list[Result]] = []
+    known: list[list[Result]] = [[], []]
     if folds and isinstance(recipe, NetworkRecipe):
         known = _score_ends(corpus, folder, principal, recipe, seed, warn)
         advance(f"the ends of captures: {_reached(known[0])}", FIT_WORK)
@@ -129,7 +131,7 @@ def train(
         wrong = forest_error(forest_rows(corpus, fitted.leaves, inputs), recipe.forest, seed)
     graph = fitted.graph
     if isinstance(graph, Networks):
-        again, again_lacking = known if known else ([], [])
+        again, again_lacking = known
         whole, part = (
             network.with_sigma(sigma_factors([one.surprise for one in results]))
             for network, results in (

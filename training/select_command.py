@@ -33,13 +33,13 @@ from training.marker_search import (
     search,
 )
 from training.marker_selection import select_markers
-from training.marker_wishes import COUNT, SHOULDERS, Choice, Markers, Wishes
-from training.moments import columns_of, matrix, mean_and_covariance
+from training.marker_wishes import COUNT, SHOULDERS, Markers, Wishes
 from training.pipeline import (
     CANDIDATES,
     FIT_WORK,
     AnyRecipe,
     candidate_covariance,
+    choose_principal,
 )
 from training.progress import Advance, progress
 from training.recipe import RECIPES, NetworkRecipe
@@ -183,7 +183,7 @@ def _by_error(task: _Task, wishes: Wishes) -> tuple[dict[str, Any], Callable[[],
         ranked = search(start, choice, options.seed, advance)
         by_size = [*best_by_size(start, choice), ranked[0]]
         best = distinct(ranked, max(top, BEST))
-        by_variance = _principal_by_variance(corpus, choice, options.seed)
+        by_variance = choose_principal(corpus, options.seed, choice.beside_references(MARKERS))
         named = {"by variance": (*(SHOULDERS if wishes.alone else ()), *by_variance)}
         named |= {f"manual {number}": one for number, one in enumerate(task.manual, 1)}
         others = {
@@ -205,14 +205,6 @@ def _by_error(task: _Task, wishes: Wishes) -> tuple[dict[str, Any], Callable[[],
         return search_report(options.report, study, corpus, task.command, left_out)
 
     return {"by": ERROR, **study.to_json()}, report
-
-
-def _principal_by_variance(corpus: Corpus, choice: Choice, seed: int) -> Markers:
-    """The paper's choice of all markers but the references, in the body frame that these give."""
-    candidates = choice.beside_references(MARKERS)
-    moments = matrix(corpus.moments.sum(axis=0))
-    covariance = mean_and_covariance(moments, columns_of(candidates))[1]
-    return select_markers(covariance, candidates, seed).markers
 
 
 def _read(task: _Task, advance: Advance) -> Corpus:

@@ -4,8 +4,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bridge.body_frame import PAPER_FRAME, SIX_FRAME, BodyFrame
+from bridge.estimator import ENOUGH
 from drivers.marker_set import MARKERS
-from training.examples import MIN_PRESENT, ExampleOptions, Examples
+from training.examples import ExampleOptions, Examples
 from training.mirroring import mirrored
 
 PRINCIPAL = ("LFHD", "RELB", "LUPA", "RSHN", "LTOE", "RTOE")
@@ -61,7 +62,7 @@ def test_examples_are_placed_as_the_runtime_places_bodies(construction, seed):
     present = random.random((15, len(at))) > random.uniform(0, 0.8)
     # Enough are there, as in every example.
     order = random.random(present.shape).argsort(axis=1)
-    present |= order < MIN_PRESENT
+    present |= order < ENOUGH
     found = made._placed(now, known, present)
     both = np.concatenate([poses, mirrored(poses)])[:, at]
     spread = np.sqrt(both.var(axis=0).mean(axis=1))
@@ -120,7 +121,7 @@ def test_every_marker_is_missing_as_often_and_enough_are_there(construction):
     assert 0.1 < shares.mean() < 0.4
     np.testing.assert_allclose(shares, shares.mean(), atol=0.015)
     count = missing.sum(axis=1)
-    assert count.max() == len(tracked) - MIN_PRESENT
+    assert count.max() == len(tracked) - ENOUGH
     # A quarter lacks nothing in any case, some of the others by chance.
     assert 0.25 < (count == 0).mean() < 0.5
 

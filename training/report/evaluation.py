@@ -132,8 +132,7 @@ def _what_was_run(report: Report, run: Run) -> None:
             )
         )
     report.table("run", "The run.", ("what", "value"), rows)
-    if run.left_out:
-        report.table("left_out", "What was left out, and why.", ("what", "why"), run.left_out)
+    report.left_out(run.left_out)
 
 
 def _kind(run: Run) -> str:

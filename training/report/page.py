@@ -100,6 +100,11 @@ class Report:
         """
         self._add(_Table(name, caption, header, rows))
 
+    def left_out(self, rows: Sequence[tuple[str, str]]) -> None:
+        """A table of what was left out, and why; none where nothing was."""
+        if rows:
+            self.table("left_out", "What was left out, and why.", ("what", "why"), rows)
+
     def figure(self, name: str, caption: str, figure: Figure) -> None:
         """A figure, drawn at once; the caption is its text for those who cannot see it as well."""
         png = io.BytesIO()

@@ -77,8 +77,7 @@ def _what_was_run(
             ("give the body frame", ", ".join(study.wishes.references)),
         ),
     )
-    if left_out:
-        report.table("left_out", "What was left out, and why.", ("what", "why"), left_out)
+    report.left_out(left_out)
 
 
 def _told(wishes: Wishes) -> str:

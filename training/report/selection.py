@@ -79,8 +79,7 @@ def _what_was_run(
             ("worn in any case", ", ".join(REFERENCES)),
         ),
     )
-    if left_out:
-        report.table("left_out", "What was left out, and why.", ("what", "why"), left_out)
+    report.left_out(left_out)
 
 
 def _frequencies(report: Report, study: SelectionStudy) -> None:

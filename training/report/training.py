@@ -109,8 +109,7 @@ def _data(
             )
         ],
     )
-    if left_out:
-        report.table("left_out", "What was left out, and why.", ("what", "why"), left_out)
+    report.left_out(left_out)
 
 
 def _variance(report: Report, corpus: Corpus, moving: Markers, info: ModelInfo) -> None:
