@@ -129,9 +129,7 @@ class BodyFrame:
 
     def _middle(self, points: Array) -> Array | None:
         """The origin; None where one of its markers is missing."""
-        middle = points[self._origin[0]]
-        if len(self._origin) > 1:
-            middle = points[self._origin].mean(axis=0)
+        middle = self.at_origin(points)
         return None if math.isnan(middle[0]) else middle
 
     def _turn(self, yaw: float) -> None:
@@ -167,6 +165,14 @@ class BodyFrame:
         dot = weights @ (before * now).sum(axis=1)
         cross = weights @ (before[:, 0] * now[:, 1] - before[:, 1] * now[:, 0])
         return math.atan2(cross, dot)
+
+    def at_origin(self, values: npt.NDArray[np.floating]) -> Array:
+        """(3,): of values of the tracked markers (T, 3), that of the origin."""
+        if len(self._origin) == 1:
+            origin: Array = values[self._origin[0]]
+        else:
+            origin = values[self._origin].mean(axis=0)
+        return origin
 
     def to_body(self, xyz: npt.NDArray[np.floating]) -> Floats:
         """World to body frame, (..., 3) metres."""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
 from bridge.body_frame import CONSTRUCTIONS, BodyFrame
 from bridge.imputation import Imputation
-from bridge.imputer import COAST, MOMENT, NEAR, Imputer
+from bridge.imputer import NEAR, Imputer
 from bridge.model import Model, ModelInfo
 from bridge.pose import Pose, Provenance
 from bridge.regression import features_of, regression_of
@@ -20,7 +22,9 @@ Mask = npt.NDArray[np.bool_]
 NOISE = 0.001  # m: standard deviation of a measured coordinate
 ENOUGH = 3  # tracked markers without which nobody can say where the body is and faces
 HOLD = 1.0  # s that a pose is held with fewer; then it is lost
-DRIFT = 0.5  # m/s: how fast a held pose, or marker, grows wrong
+DRIFT = 0.5  # m/s: how fast a held pose grows wrong
+REST = 0.1  # s: time constant with which a held pose comes to rest
+STEADY = 0.1  # s: time constant with which a pose that moves as it should comes to where it should
 
 
 def body_frame(info: ModelInfo) -> BodyFrame:
@@ -32,6 +36,25 @@ def body_frame(info: ModelInfo) -> BodyFrame:
     spread = np.zeros(len(info.tracked))
     spread[features] = np.sqrt(np.diag(info.covariance).reshape(-1, 3).mean(axis=1))
     return BodyFrame(info.tracked, mean, spread, CONSTRUCTIONS[info.body_frame])
+
+
+def influence(info: ModelInfo) -> Array:
+    """(M, T): the variance of each marker's estimate, per coordinate, for that of a tracked one;
+    zero for tracked ones.
+
+    By the model's global linear map, and by the body frame, which moves with its origin.
+    """
+    unworn = [info.labels.index(label) for label in info.unworn]
+    origin = CONSTRUCTIONS[info.body_frame].origin
+    maps = np.array(info.sensitivity).reshape(len(unworn), 3, len(info.features), 3)
+    moved = np.zeros((len(unworn), 3, len(info.tracked), 3))
+    moved[:, :, features_of(info)] = maps
+    by_origin = (np.eye(3) - maps.sum(axis=2)) / len(origin)
+    for label in origin:
+        moved[:, :, info.tracked.index(label)] += by_origin
+    found = np.zeros((len(info.labels), len(info.tracked)))
+    found[unworn] = (moved**2).sum(axis=3).mean(axis=1)
+    return found
 
 
 class PoseEstimator:
@@ -61,10 +84,15 @@ class PoseEstimator:
         self._rows = np.array([info.labels.index(label) for label in info.tracked])
         self._body = body_frame(info)
         self._filter = NoiseFilter(len(info.tracked))
-        self._imputer = Imputer(self.regression, self._body, len(info.tracked))
+        usual = np.zeros((len(info.tracked), 3))
+        usual[self._features] = info.mean
+        self._imputer = Imputer(self.regression, self._body, usual)
+        self._influence = influence(info)
         self._imputation = imputation
         self._nowhere: Floats = np.full((len(info.labels), 3), np.nan, np.float32)
-        self._still = np.zeros_like(self._nowhere)
+        # Where all tracked markers are measured.
+        self._measured = np.full(len(info.labels), Provenance.ESTIMATED, np.uint8)
+        self._measured[self._rows] = Provenance.MEASURED
         self._layout: Layout | None = None
         self.reset()
 
@@ -76,10 +104,13 @@ class PoseEstimator:
         if self._imputation:
             self._imputation.reset()
         self._layout = None
-        # The last pose, with its sigma (M,) and velocities (M, 3) m/s.
+        # The last pose, with its sigma (M,), and the pose before it, so many seconds.
         self._pose: Floats = self._nowhere
         self._sigma: Floats = np.full(len(self._nowhere), np.inf, np.float32)
-        self._velocity: Floats = self._still
+        self._before: Floats = self._nowhere
+        self._step = 1.0
+        self._velocity: Floats = self._nowhere  # m/s, of the pose held
+        self._shown: Floats | None = None  # the tracked markers as they were taken to be
         self._held = 0.0  # s since enough markers were there
         self._index: int | None = None
 
@@ -100,10 +131,12 @@ class PoseEstimator:
         else:
             pose, sigma = self._estimate(measured, present, interval)
             back = present & (self._imputer.away < NEAR)
-        provenance = np.full(len(pose), Provenance.ESTIMATED, np.uint8)
-        provenance[self._rows] = np.where(back, Provenance.MEASURED, Provenance.IMPUTED)
+        provenance = self._measured.copy()
+        if not back.all():
+            provenance[self._rows[~back]] = Provenance.IMPUTED
+        # Where it has just begun, or begun again, nothing is known of how it moves.
         goes_on = not self._held and self._pose is not self._nowhere
-        self._velocity = (pose - self._pose) / np.float32(interval) if goes_on else self._still
+        self._before, self._step = (self._pose, interval) if goes_on else (pose, interval)
         self._pose, self._sigma, self._held = pose, sigma, 0.0
         return Pose(frame.index, frame.t, pose, provenance, sigma)
 
@@ -129,28 +162,37 @@ class PoseEstimator:
         """
         imputer = self._imputer
         if imputer.whole and present.all():
-            return self._whole(imputer.pass_on(measured), measured)
-        tracked, lacking = imputer.complete(measured, present, self._filter.velocity, interval)
-        world, sigma = self._whole(tracked, measured)
+            tracked, lacking = imputer.pass_on(measured), None
+        else:
+            tracked, lacking = imputer.complete(measured, present, self._filter.velocity, interval)
+        self._body.place(tracked)
+        self._body.learn(measured)
+        world, sigma = self._whole(tracked, interval)
         if lacking is not None:
-            memory = np.full(len(sigma), imputer.memory[imputer.unseen >= MOMENT].min())
-            memory[self._rows] = np.where(imputer.unseen < MOMENT, 1.0, imputer.memory)
-            # Nobody is surer for knowing less, whatever two networks say.
-            lacking = np.maximum(lacking, sigma)
-            sigma = np.sqrt(memory**2 * sigma**2 + (1.0 - memory**2) * lacking**2)
-        strayed = np.where(imputer.unseen < MOMENT, DRIFT * imputer.unseen, 0.0)
-        sigma[self._rows] = np.sqrt(sigma[self._rows] ** 2 + imputer.away**2 + strayed**2)
-        return world, sigma.astype(np.float32)
+            variance = lacking.astype(float) ** 2 + imputer.away**2
+            sigma = np.sqrt(sigma**2 + self._influence @ variance).astype(np.float32)
+            sigma[self._rows] = np.sqrt(variance + NOISE**2)
+        return world, sigma
 
-    def _whole(self, tracked: Floats, measured: Floats) -> tuple[Floats, Floats]:
+    def _whole(self, tracked: Floats, interval: float) -> tuple[Floats, Floats]:
         """The pose (M, 3) in the world and its sigma (M,), as if all tracked markers (T, 3) were
-        measured; the body frame learns from those that are.
+        measured. The body frame is where they put it.
         """
         body = self._body
-        body.place(tracked)
-        body.learn(measured)
-        pose, sigma = self.regression.estimate(body.to_body(tracked))
-        world = body.to_world(pose)
+        moved = tracked - (tracked if self._shown is None else self._shown)
+        self._shown = tracked
+        carried = body.at_origin(moved)
+        velocity = (moved - carried) @ body.rotation / interval
+        pose, sigma, moving = self.regression.estimate(
+            body.to_body(tracked), velocity.astype(np.float32)
+        )
+        world: Floats = body.to_world(pose)
+        if moving is not None and self._pose is not self._nowhere:
+            # On from the pose before, as the body moves, and a little towards where it is said to
+            # be: how it moves is known better than where it is.
+            gone_on = self._pose + (moving @ body.rotation.T * interval + carried)
+            away = (world - gone_on) * math.exp(-interval / STEADY)
+            world = (world - away).astype(np.float32)
         world[self._rows] = tracked
         sigma[self._rows] = NOISE
         return world, sigma
@@ -167,23 +209,23 @@ class PoseEstimator:
             present[self._features],
             interval,
         )
-        pose, sigma = self.regression.estimate(tracked)
-        pose[self._rows] = tracked
-        world = self._body.to_world(pose)
-        world[self._rows[present]] = measured[present]
-        return world, sigma
+        world = self._body.to_world(tracked)
+        world[present] = measured[present]
+        return self._whole(world, interval)
 
     def _hold(self, frame: MarkerFrame, interval: float) -> Pose:
         """With too few markers the pose comes to rest and holds; after a while all of it is lost.
 
         So do markers that are there: the body stays whole.
         """
-        self._held += interval
         begun = self._pose is not self._nowhere
         if begun:
+            if not self._held:
+                self._velocity = (self._pose - self._before) / np.float32(self._step)
             self._pose = self._pose + self._velocity * np.float32(interval)
-            self._velocity = self._velocity * np.float32(np.exp(-interval / COAST))
+            self._velocity = self._velocity * np.float32(np.exp(-interval / REST))
             self._sigma = np.hypot(self._sigma, np.float32(DRIFT * interval))
+        self._held += interval
         pose, sigma = self._pose.copy(), self._sigma.copy()
         provenance = np.full(len(pose), Provenance.ESTIMATED, np.uint8)
         provenance[self._rows] = Provenance.IMPUTED
@@ -191,5 +233,6 @@ class PoseEstimator:
             provenance[:] = Provenance.LOST
             sigma[:] = np.inf
         if begun:
-            self._imputer.hold(pose[self._rows])
+            self._shown = pose[self._rows]
+            self._imputer.hold(self._shown, self._filter.velocity, interval)
         return Pose(frame.index, frame.t, pose, provenance, sigma)

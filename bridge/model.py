@@ -5,10 +5,14 @@ of the feature markers in the body frame, and `history` (h, K), the leaf weights
 before (zero rows where there were none, in any order); outputs `z` (1, 3U), the unworn markers in
 the body frame, and `p` (1, K), the leaf weights of this frame, to be kept for the next ones.
 
-Graph of a network: inputs `x` (n, 3F), the feature markers in the body frame, zeros where missing,
-and `present` (n, T), a one for each tracked marker that is there; outputs `z` (n, 3M), all markers
-in the body frame, and `sigma` (n, M), the standard deviation of the error per coordinate. All
-lengths are metres.
+Graph of networks: inputs `x` (n, 3T), the tracked markers in the body frame, and `present` (n, T),
+a one for each that is there. Where all are, `v` (n, 3T) are their velocities against its origin's,
+in its axes; output `y` (n, 7M): all markers in the body frame, the logarithms of the standard
+deviations of their errors per coordinate, and their velocities. Where some are missing, `x` is zero
+there, and `memory` (n, 9T + 1) is the last frame with the marker in question: the tracked markers
+in the body frame then, the same places of the world in the body frame of now, the velocities in the
+world then, in the axes of now, and the seconds since; `y` (n, 4T): the tracked markers and the
+logarithms of their standard deviations. All lengths are metres, velocities m/s.
 """
 
 from __future__ import annotations
@@ -26,7 +30,7 @@ from bridge.body_frame import CONSTRUCTIONS, PAPER_FRAME
 from drivers.errors import MarkerbridgeError
 from drivers.frame import Floats
 
-FORMAT = 1
+FORMAT = 2
 MAX_HISTORY = 240  # frames of 1/120 s
 METADATA_KEY = "markerbridge"
 DEFAULT = "default"
@@ -44,7 +48,7 @@ class ModelInfo:
     (F, 3) and `covariance` (3F, 3F) describe them in the body frame, metres. `sigma` (U,): standard
     deviation of the estimate's error per coordinate, metres, per unworn marker, measured on folds;
     a network's graph tells it frame by frame. `sensitivity` (3U, 3F): how far an error in the
-    features moves the estimate (the global linear map); a network's is empty. `history`: frames of
+    features moves the estimate (the global linear map). `history`: frames of
     1/120 s; a network's is 0.
     """
 
@@ -99,9 +103,8 @@ class ModelInfo:
             "mean": (len(info.features), 3),
             "covariance": (3 * len(info.features),) * 2,
             "sigma": (len(info.unworn),),
+            "sensitivity": (3 * len(info.unworn), 3 * len(info.features)),
         }
-        if info.sensitivity:
-            shapes["sensitivity"] = (3 * len(info.unworn), 3 * len(info.features))
         for name, shape in shapes.items():
             if np.shape(getattr(info, name)) != shape:
                 raise ValueError(f"{name} is not of shape {shape}")
@@ -155,24 +158,55 @@ class Model:
         z, p = self._session.run(("z", "p"), {"x": x, "history": history})
         return z, p
 
-    def regress(self, x: Floats, present: Floats) -> tuple[Floats, Floats]:
-        """z and sigma of n frames, by a network; shapes as at the top of this module."""
-        z, sigma = self._session.run(("z", "sigma"), {"x": x, "present": present})
-        return z, sigma
+    def estimate(self, tracked: Floats, velocity: Floats) -> tuple[Floats, Floats, Floats]:
+        """By networks, of one frame: all markers (M, 3), their sigma (M,) and velocities (M, 3),
+        from the tracked ones (T, 3) and their velocities (T, 3).
+        """
+        nothing = self._nothing
+        y = self._networks(
+            tracked.reshape(1, -1), velocity.reshape(1, -1), nothing["present"], nothing["memory"]
+        )[0]
+        markers = len(self.info.labels)
+        return (
+            y[: 3 * markers].reshape(-1, 3),
+            np.exp(y[3 * markers : 4 * markers]),
+            y[4 * markers :].reshape(-1, 3),
+        )
+
+    def recall(self, tracked: Floats, present: Floats, memory: Floats) -> tuple[Floats, Floats]:
+        """By networks, of n frames that lack markers: the tracked ones (n, T, 3) and their sigma
+        (n, T); shapes as at the top of this module.
+        """
+        y = self._networks(tracked, np.zeros_like(tracked), present, memory)
+        width = tracked.shape[1]
+        return y[:, :width].reshape(len(y), -1, 3), np.exp(y[:, width:])
+
+    def _networks(self, x: Floats, v: Floats, present: Floats, memory: Floats) -> Floats:
+        feeds = {"x": x, "v": v, "present": present, "memory": memory}
+        found: Floats = self._session.run(("y",), feeds)[0]
+        return found
 
     def _try(self) -> None:
         """Raises where the graph does not give what its description says."""
-        x = np.zeros((1, self.width), np.float32)
+        markers, tracked = len(self.info.labels), len(self.info.tracked)
         if self.leaves:
-            if not self.info.sensitivity:
-                raise ValueError("sensitivity is not of shape (3U, 3F)")
-            z, other = self.run(x, np.zeros((1, self.leaves), np.float32))
+            x = np.zeros((1, self.width), np.float32)
+            outputs = self.run(x, np.zeros((1, self.leaves), np.float32))
             expected = (1, 3 * len(self.info.unworn)), (1, self.leaves)
         else:
-            z, other = self.regress(x, np.ones((1, len(self.info.tracked)), np.float32))
-            expected = (1, 3 * len(self.info.labels)), (1, len(self.info.labels))
-        if (z.shape, other.shape) != expected:
-            raise ValueError(f"the graph gives shapes {z.shape} and {other.shape}")
+            # What a frame that lacks nothing has for what is asked of others.
+            self._nothing = {
+                "present": np.ones((1, tracked), np.float32),
+                "memory": np.ones((1, 9 * tracked + 1), np.float32),
+            }
+            still = np.zeros((1, 3 * tracked), np.float32)
+            whole = self._networks(still, still, **self._nothing)
+            nobody = np.zeros((1, tracked), np.float32)
+            outputs = whole, self._networks(still, still, nobody, self._nothing["memory"])
+            expected = (1, 7 * markers), (1, 4 * tracked)
+        given = tuple(output.shape for output in outputs)
+        if given != expected:
+            raise ValueError(f"the graph gives shapes {given}, not {expected}")
 
 
 def _line(error: Exception) -> str:

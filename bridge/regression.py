@@ -1,23 +1,40 @@
-"""What a model says of one frame: the whole pose in the body frame, from the tracked markers.
+"""What a model says of one frame: the whole pose in the body frame, from the tracked markers, and
+where missing ones are.
 
 A pose has the M markers of the model, in its order.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from bridge.imputation import PATTERNS, ConditionalGaussian
+from bridge.imputation import ConditionalGaussian
 from bridge.model import Model, ModelInfo
 from drivers.frame import Floats
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
+FADE = 0.5  # s: time constant with which a mixture forgets a last sighting (docs/decisions/0005)
+COAST = 0.1  # s: for about so long a missing marker goes on as it went
 _RATE = 120.0  # Hz: what the model's history is counted in
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sightings:
+    """The last frames with n markers each. then: (n, T, 3) metres, where all tracked markers were
+    in the body frame; left: (n, T, 3), the same places of the world in the body frame of now; pace:
+    (n, T, 3) m/s, how they moved in the world, in the axes of now; age: (n,), seconds since.
+    """
+
+    then: Floats
+    left: Floats
+    pace: Floats
+    age: Array
 
 
 class Regression(Protocol):
@@ -26,19 +43,23 @@ class Regression(Protocol):
     def reset(self, rate: float) -> None:
         """Forgets the past: a new performer, or another rate, Hz."""
 
-    def guess(self, tracked: Floats, present: Mask, placed: float) -> tuple[Floats, Floats]:
-        """The tracked markers (T, 3) where those that are missing are likely to be, and the
-        standard deviation (M,) of a pose that only the others are known of, metres.
+    def recall(
+        self, tracked: Floats, present: Mask, sightings: Sightings, placed: float
+    ) -> tuple[Floats, Floats]:
+        """Where missing markers are, by n last sightings: the tracked markers (n, T, 3), of which
+        those missing count, and their standard deviations per coordinate (n, T), metres.
 
         tracked: (T, 3) metres, in the body frame; present: (T,), those that count. placed: standard
-        deviation of the body frame's origin, metres.
+        deviation of the body frame's origin now, metres.
         """
 
-    def estimate(self, tracked: Floats) -> tuple[Floats, Floats]:
-        """The pose (M, 3) and its standard deviation (M,) per coordinate, metres; what it says of
-        tracked markers is of no use. The frame becomes the past of those to come.
+    def estimate(self, tracked: Floats, velocity: Floats) -> tuple[Floats, Floats, Floats | None]:
+        """The pose (M, 3), its standard deviation (M,) per coordinate, metres, and how it moves
+        (M, 3), m/s, where that is known; what it says of tracked markers is of no use. The frame
+        becomes the past of those to come.
 
-        tracked: (T, 3) metres, in the body frame, all there.
+        tracked: (T, 3) metres, in the body frame, all there; velocity: (T, 3) m/s, theirs against
+        the origin's, in the body's axes, as all velocities here.
         """
 
     def leaf(self) -> int:
@@ -56,14 +77,10 @@ def regression_of(model: Model, history: int) -> Regression:
 
 
 class NetworkRegression:
-    """Networks, one of which is told which markers are missing. Each frame is for itself."""
+    """Networks for the pose, its velocities and missing markers. Each frame is for itself."""
 
     def __init__(self, model: Model) -> None:
         self._model = model
-        self._shape = len(model.info.labels), 3
-        self._features = features_of(model.info)
-        self._rows = np.array([model.info.labels.index(label) for label in model.info.tracked])
-        self._all = np.ones((1, len(model.info.tracked)), np.float32)
 
     def reset(self, rate: float) -> None:
         """There is no past to forget."""
@@ -72,24 +89,36 @@ class NetworkRegression:
         """There is one model for all frames."""
         return 0
 
-    def guess(self, tracked: Floats, present: Mask, placed: float) -> tuple[Floats, Floats]:
+    def recall(
+        self, tracked: Floats, present: Mask, sightings: Sightings, placed: float
+    ) -> tuple[Floats, Floats]:
         """See `Regression`. The network has learned what a body frame out of place costs."""
-        shown = np.where(present[:, None], tracked, np.float32(0.0))
-        x = shown[self._features].reshape(1, -1)
-        z, sigma = self._model.regress(x, present[None].astype(np.float32))
-        return z.reshape(self._shape)[self._rows], sigma[0]
+        count = len(sightings.age)
+        shown = np.where(present[:, None], tracked, np.float32(0.0)).reshape(1, -1)
+        parts: list[npt.NDArray[np.floating]] = [
+            sightings.then,
+            sightings.left,
+            sightings.pace,
+            sightings.age,
+        ]
+        memory = np.concatenate([part.reshape(count, -1) for part in parts], axis=1)
+        return self._model.recall(
+            np.repeat(shown, count, axis=0),
+            np.repeat(present[None].astype(np.float32), count, axis=0),
+            memory.astype(np.float32),
+        )
 
-    def estimate(self, tracked: Floats) -> tuple[Floats, Floats]:
+    def estimate(self, tracked: Floats, velocity: Floats) -> tuple[Floats, Floats, Floats | None]:
         """See `Regression`."""
-        z, sigma = self._model.regress(tracked[self._features].reshape(1, -1), self._all)
-        return z.reshape(self._shape), sigma[0]
+        return self._model.estimate(tracked, velocity)
 
 
 class MixtureRegression:
     """Local linear models, mixed by a forest over the frames before (paper 3.3 and 3.4).
 
-    Missing features are those that a Gaussian expects from the others. history: frames of 1/120 s
-    before the present one that the mixture weighs in.
+    Missing markers are those that a Gaussian expects from the others, with what the last sighting
+    was off by it, which fades. history: frames of 1/120 s before the present one that the mixture
+    weighs in.
     """
 
     def __init__(self, model: Model, history: int) -> None:
@@ -98,12 +127,9 @@ class MixtureRegression:
         self._history = history
         self._features = features_of(info)
         self._unworn = np.array([info.labels.index(label) for label in info.unworn])
-        self._rows = np.array([info.labels.index(label) for label in info.features])
         self._gaussian = ConditionalGaussian(info.mean, info.covariance)
-        self._variance = np.zeros(len(info.labels))
-        self._variance[self._unworn] = np.array(info.sigma) ** 2
-        self._sensitivity = np.array(info.sensitivity)
-        self._variances: dict[bytes, Array] = {}
+        self._sigma: Floats = np.zeros(len(info.labels), np.float32)
+        self._sigma[self._unworn] = info.sigma
         self.reset(_RATE)
 
     def reset(self, rate: float) -> None:
@@ -117,36 +143,38 @@ class MixtureRegression:
         """The leaf with most votes."""
         return int(self.leaf_weights.argmax())
 
-    def guess(self, tracked: Floats, present: Mask, placed: float) -> tuple[Floats, Floats]:
+    def recall(
+        self, tracked: Floats, present: Mask, sightings: Sightings, placed: float
+    ) -> tuple[Floats, Floats]:
         """See `Regression`."""
-        there = present[self._features]
-        guessed = np.zeros_like(tracked)  # a lone origin is no feature: at zero
-        guessed[self._features] = self._gaussian.fill(tracked[self._features], there)
-        sigma: Floats = np.sqrt(self._lacking(there) + placed**2).astype(np.float32)
-        return guessed, sigma
+        then, age = sightings.then, sightings.age[:, None, None]
+        keeps = np.exp(-age / FADE)
+        # On through the world as it went, at first; then with the body.
+        way = sightings.left + sightings.pace * age - then
+        gone_on = way / (1.0 + (age / COAST) ** 4)
+        guessed = np.array([self._expected(one, present) for one in then])
+        found = self._expected(tracked, present) + keeps * (then - guessed + gone_on)
+        uncertainty = self._gaussian.uncertainty(present[self._features])
+        variance = np.zeros(len(tracked))
+        variance[self._features] = np.diag(uncertainty).reshape(-1, 3).mean(axis=1)
+        sigma = np.sqrt((1.0 - keeps[:, :, 0] ** 2) * variance + placed**2)
+        return found.astype(np.float32), sigma.astype(np.float32)
 
-    def estimate(self, tracked: Floats) -> tuple[Floats, Floats]:
-        """See `Regression`."""
+    def _expected(self, tracked: Floats, present: Mask) -> Floats:
+        """The tracked markers (T, 3) as those present tell them; a lone origin is at zero."""
+        found = np.zeros_like(tracked)
+        there = present[self._features]
+        found[self._features] = self._gaussian.fill(tracked[self._features], there)
+        return found
+
+    def estimate(self, tracked: Floats, velocity: Floats) -> tuple[Floats, Floats, Floats | None]:
+        """See `Regression`. Local models know nothing of velocities."""
         x = tracked[self._features].reshape(1, -1)[:, : self._model.width]
         z, p = self._model.run(x, self._weights)
         self.leaf_weights = p[0]
         if len(self._weights):
             self._weights[self._oldest] = p[0]
             self._oldest = (self._oldest + 1) % len(self._weights)
-        pose = np.zeros((len(self._variance), 3), np.float32)
+        pose = np.zeros((len(self._sigma), 3), np.float32)
         pose[self._unworn] = z.reshape(-1, 3)
-        return pose, np.sqrt(self._variance).astype(np.float32)
-
-    def _lacking(self, there: Mask) -> Array:
-        """Variance (M,) of the estimate, and of what was imputed."""
-        key = there.tobytes()
-        if key not in self._variances:
-            if len(self._variances) >= PATTERNS:
-                self._variances.clear()
-            covariance = self._gaussian.uncertainty(there)
-            moved = np.einsum("if,fg,ig->i", self._sensitivity, covariance, self._sensitivity)
-            variance = self._variance.copy()
-            variance[self._unworn] += moved.reshape(-1, 3).mean(axis=1)
-            variance[self._rows] = np.diag(covariance).reshape(-1, 3).mean(axis=1)
-            self._variances[key] = variance
-        return self._variances[key]
+        return pose, self._sigma.copy(), None

@@ -5,12 +5,14 @@ from __future__ import annotations
 import csv
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
+from bridge.body_frame import SIX_FRAME
 from bridge.model import Model
 from training.corpus import read_corpus
 from training.dataset import training_captures
@@ -64,21 +66,34 @@ PAPER_SIX = ("LFHD", "RELB", "LUPA", "RSHN", "LTOE", "RTOE")
 
 
 def _fitted(small_dir: Path, path: Path, recipe: MixtureRecipe | NetworkRecipe) -> Model:
-    """A model of the paper's markers, trained here on four captures: quick, and no good."""
+    """A model of the paper's markers, trained here on four captures: quick, and no good.
+
+    Its sigma is not measured on folds, but made up.
+    """
     with threadpool_limits(1):
         captures = training_captures(small_dir)
         corpus = read_corpus(small_dir, captures, recipe, lambda *_: None, pytest.fail)
         fitted = fit_model(corpus, np.arange(len(corpus.frames)), PAPER_SIX, recipe, 0)
-    path.write_bytes(to_onnx(fitted.graph, fitted.info))
+    sigma = np.linspace(0.01, 0.05, len(fitted.info.unworn)).tolist()
+    path.write_bytes(to_onnx(fitted.graph, replace(fitted.info, sigma=sigma)))
     return Model(path)
+
+
+_SMALL_NETWORK = NetworkOptions(hidden=(64, 64), steps=400, batch=256)
+_SMALL_NETWORKS = NetworkRecipe(pose=_SMALL_NETWORK, velocity=_SMALL_NETWORK, recall=_SMALL_NETWORK)
 
 
 @pytest.fixture(scope="session")
 def network_model(small_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Model:
-    """A small network."""
-    options = NetworkOptions(hidden=(64, 64), steps=400, batch=256)
-    path = tmp_path_factory.mktemp("network") / "network.onnx"
-    return _fitted(small_dir, path, NetworkRecipe(network=options))
+    """Small networks."""
+    return _fitted(small_dir, tmp_path_factory.mktemp("network") / "network.onnx", _SMALL_NETWORKS)
+
+
+@pytest.fixture(scope="session")
+def six_model(small_dir: Path, tmp_path_factory: pytest.TempPathFactory) -> Model:
+    """Small networks for those who wear no C7."""
+    recipe = replace(_SMALL_NETWORKS, body_frame=SIX_FRAME.name)
+    return _fitted(small_dir, tmp_path_factory.mktemp("six") / "six.onnx", recipe)
 
 
 @pytest.fixture(scope="session")

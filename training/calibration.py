@@ -11,7 +11,7 @@ leaves, is added to the estimate.
 from __future__ import annotations
 
 import tempfile
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +28,7 @@ from drivers.marker_set import MARKERS
 from training.dataset import DatasetError
 from training.local_models import Array, NormalEquations, affine, ridge
 from training.network import Network
-from training.regressor import POSE
+from training.networks import POSE
 
 # Chosen on people left out (docs/decisions/0012).
 SHARE = 0.003  # of the power of the hidden units and of the constant: what holds them back
@@ -111,107 +111,55 @@ def _mixture_errors(model: Model, xyz: Floats, complete: Mask, rate: float) -> t
         seen = body.to_body(truth)
         if np.isnan(seen[tracked]).any():
             continue
-        pose, _ = regression.estimate(seen[tracked])
+        pose, *_ = regression.estimate(seen[tracked], np.zeros_like(seen[tracked]))
         if whole:
             inputs.append(seen[tracked][features].ravel()[: model.width])
             errors.append((seen[unworn].astype(float) - pose[rows]).ravel())
     return np.array(inputs, np.float32), np.array(errors)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Seen:
-    """What a network is shown, and what it should say: features (n, 3F), zero where missing, marks
-    (n, T) of the tracked markers present, poses (n, 123); body frame, metres.
-    """
-
-    features: Floats
-    present: Floats
-    poses: Floats
-
-
 def _networks(
     model: Model, constants: Constants, xyz: Floats, complete: Mask, rate: float
 ) -> Constants:
-    """The last layers of both networks, changed.
-
-    Of the network for frames that lack markers each tracked marker is of use where it is missing
-    itself: what is said of it is fitted to frames that lack it alone.
-    """
-    shown, lacking = _shown(model, xyz, complete)
-    whole_weights = constants["whole_last_weights"].copy()
-    whole_bias = constants["whole_last_bias"].copy()
-    units, off = _network_errors(model, constants, "whole", shown)
+    """The last layer of the pose's network, changed."""
+    units, off = _network_errors(model, constants, xyz, complete)
     change = _correction(units, off)
-    hidden = units.shape[1] - 1
-    whole_weights[:hidden, :POSE] += change[:-1]
-    whole_bias[:POSE] += change[-1]
-    whole_bias[POSE:] += np.log(_sigma_factor(model, units, off, complete.sum() / rate))
-    part_weights = constants["part_last_weights"].copy()
-    part_bias = constants["part_last_bias"].copy()
-    for label, frames in zip(model.info.tracked, lacking, strict=True):
-        row = model.info.labels.index(label)
-        columns = slice(3 * row, 3 * row + 3)
-        units, off = _network_errors(model, constants, "part", frames)
-        change = _correction(units, off[:, columns])
-        part_weights[: units.shape[1] - 1, columns] += change[:-1]
-        part_bias[columns] += change[-1]
-    return {
-        "whole_last_weights": whole_weights,
-        "whole_last_bias": whole_bias,
-        "part_last_weights": part_weights,
-        "part_last_bias": part_bias,
-    }
-
-
-def _shown(model: Model, xyz: Floats, complete: Mask) -> tuple[_Seen, list[_Seen]]:
-    """Complete frames, at most MAX_FRAMES: as they are, and without each tracked marker in turn."""
-    info = model.info
-    tracked = [MARKERS.index(label) for label in info.tracked]
-    order = [MARKERS.index(label) for label in info.labels]
-    features = features_of(info)
-    body = body_frame(info)
-    chosen = np.flatnonzero(complete)
-    some = np.linspace(0, len(chosen) - 1, min(len(chosen), MAX_FRAMES)).round().astype(int)
-    taken = set(chosen[some].tolist())
-    rows: list[list[tuple[Floats, Floats, Floats]]] = [[] for _ in range(len(tracked) + 1)]
-    for index, truth in enumerate(xyz):
-        if index in taken:
-            # Placed before the body frame learns from this frame, as where markers went missing.
-            for missing in range(len(tracked)):
-                present = np.ones(len(tracked), np.float32)
-                present[missing] = 0.0
-                masked = np.where(present[:, None] > 0.0, truth[tracked], np.float32(np.nan))
-                body.place(masked)
-                x = np.nan_to_num(body.to_body(masked)[features])
-                rows[missing].append((x.ravel(), present, body.to_body(truth[order]).ravel()))
-        body.update(truth[tracked])
-        if index in taken:
-            x = body.to_body(truth[tracked])[features]
-            everything = np.ones(len(tracked), np.float32)
-            rows[-1].append((x.ravel(), everything, body.to_body(truth[order]).ravel()))
-    *lacking, whole = [_Seen(*map(np.array, zip(*one, strict=True))) for one in rows]
-    return whole, lacking
+    weights, bias = constants["pose_last_weights"].copy(), constants["pose_last_bias"].copy()
+    weights[: units.shape[1] - 1, :POSE] += change[:-1]
+    bias[:POSE] += change[-1]
+    bias[POSE:] += np.log(_sigma_factor(model, units, off, complete.sum() / rate))
+    return {"pose_last_weights": weights, "pose_last_bias": bias}
 
 
 def _network_errors(
-    model: Model, constants: Constants, name: str, seen: _Seen
+    model: Model, constants: Constants, xyz: Floats, complete: Mask
 ) -> tuple[Array, Array]:
-    """The last hidden units of all members and a one (n, H + 1), and what the network is off by
-    (n, 123), metres.
+    """The last hidden units and a one (n, H + 1) in complete frames, at most MAX_FRAMES, and what
+    the network is off by (n, 123), metres.
     """
-    there = seen.present[:, constants["rows"]]
-    x = (seen.features - constants["mean"]) * constants["unit"] * there
-    u = np.hstack([x, seen.present])
-    last = [constants[f"{name}_last_weights"], constants[f"{name}_last_bias"]]
-    ends: list[Floats] = []
-    while f"{name}_{len(ends)}_0_weights" in constants:
-        layers: list[Floats] = []
-        while (at := f"{name}_{len(ends)}_{len(layers) // 2}") + "_weights" in constants:
-            layers += [constants[f"{at}_weights"], constants[f"{at}_bias"]]
-        ends.append(Network([*layers, *last]).hidden(u))
-    z, _ = model.regress(seen.features, seen.present)
-    units = np.hstack([*ends, np.ones((len(u), 1))]).astype(float)
-    return units, seen.poses.astype(float) - z
+    info = model.info
+    tracked = [MARKERS.index(label) for label in info.tracked]
+    order = [MARKERS.index(label) for label in info.labels]
+    chosen = np.flatnonzero(complete)
+    some = np.linspace(0, len(chosen) - 1, min(len(chosen), MAX_FRAMES)).round().astype(int)
+    taken = set(chosen[some].tolist())
+    body = body_frame(info)
+    shown, errors = [], []
+    for index, truth in enumerate(xyz):
+        body.update(truth[tracked])
+        if index in taken:
+            seen = body.to_body(truth)
+            pose, *_ = model.estimate(seen[tracked], np.zeros_like(seen[tracked]))
+            shown.append(seen[tracked].ravel())
+            errors.append((seen[order].astype(float) - pose).ravel())
+    layers: list[Floats] = []
+    while (at := f"pose_{len(layers) // 2}") + "_weights" in constants:
+        layers += [constants[f"{at}_weights"], constants[f"{at}_bias"]]
+    last = [constants["pose_last_weights"], constants["pose_last_bias"]]
+    u = (np.array(shown) - constants["mean"]) * constants["unit"]
+    hidden = Network([*layers, *last]).hidden(u)
+    units = np.hstack([hidden, np.ones((len(u), 1))]).astype(float)
+    return units, np.array(errors)
 
 
 def _correction(units: Array, off: Array) -> Array:

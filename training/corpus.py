@@ -1,7 +1,7 @@
 """What training keeps of captures: the moments of every segment, and some of its poses.
 
 The captures are read one after the other and not kept, so memory grows by 62 kB a segment and
-500 bytes a pose kept, not with the frames.
+1,000 bytes a pose kept, not with the frames.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from drivers.frame import Floats, SourceError
 from drivers.marker_set import MARKERS
 from training.dataset import Capture, Warn, read_take, why_not
 from training.moments import COORDINATES, PACKED, moments_of
-from training.poses import body_poses
+from training.poses import moving_poses
 from training.progress import Advance
 from training.recipe import Recipe
 
@@ -39,8 +39,9 @@ class Corpus:
 
     captures: those that are in use, with how many frames they have and how many of them all
     markers. Per segment (S,): capture (its row), start (its first among the capture's complete
-    frames), frames, seconds, and moments (S, PACKED). Per pose (P,): segment (its row); poses
-    (P, 41, 3).
+    frames), frames, seconds, and moments (S, PACKED). Per pose (P,): segment (its row); time,
+    seconds from the capture's start; poses and velocities (P, 41, 3), origin (P, 3) and yaw (P,),
+    see `training.poses.MovingPoses`.
     """
 
     captures: tuple[Capture, ...]
@@ -52,7 +53,11 @@ class Corpus:
     seconds: Array
     moments: Array
     segment: Indices
+    time: Array
     poses: Floats
+    velocities: Floats
+    origin: Array
+    yaw: Array
 
     def begun(self, share: float) -> Corpus:
         """The same with the poses of each real capture's first part alone, so large a share of
@@ -63,7 +68,15 @@ class Corpus:
         number = np.arange(len(capture)) - (np.cumsum(counts) - counts)[capture]
         real = np.array([one.real for one in self.captures])
         kept = ~real[capture] | (number < share * counts[capture])
-        return replace(self, segment=self.segment[kept], poses=self.poses[kept])
+        return replace(
+            self,
+            segment=self.segment[kept],
+            time=self.time[kept],
+            poses=self.poses[kept],
+            velocities=self.velocities[kept],
+            origin=self.origin[kept],
+            yaw=self.yaw[kept],
+        )
 
     def without(self, names: frozenset[str]) -> Indices:
         """The segments of all captures but these."""
@@ -80,7 +93,11 @@ class _Cut:
     rate: float
     parts: list[slice]
     segment: Indices
+    time: Array
     poses: Floats
+    velocities: Floats
+    origin: Array
+    yaw: Array
 
 
 def work_of(folder: Path, captures: Sequence[Capture]) -> float:
@@ -133,7 +150,11 @@ def read_corpus(
         seconds=frames / np.array([cut.rate for cut in cuts])[capture_row],
         moments=moments,
         segment=np.concatenate([row + cut.segment for row, cut in zip(first, cuts, strict=True)]),
+        time=np.concatenate([cut.time for cut in cuts]),
         poses=np.concatenate([cut.poses for cut in cuts]),
+        velocities=np.concatenate([cut.velocities for cut in cuts]),
+        origin=np.concatenate([cut.origin for cut in cuts]),
+        yaw=np.concatenate([cut.yaw for cut in cuts]),
     )
 
 
@@ -145,19 +166,25 @@ def _cut(folder: Path, capture: Capture, recipe: Recipe, sparse: int) -> tuple[_
         take = read_take(folder, capture)
     except SourceError as error:
         return why_not(folder, capture, error)
-    poses = body_poses(take.xyz, CONSTRUCTIONS[recipe.body_frame])
+    moving = moving_poses(take.xyz, take.rate, CONSTRUCTIONS[recipe.body_frame])
+    poses = moving.poses
     if len(poses) < MIN_FRAMES:
         return f"{capture.name}: fewer than {MIN_FRAMES} frames have all 41 markers"
     parts = recipe.segmentation.cut(poses.reshape(-1, COORDINATES), take.rate)
     step = max(sparse, round(recipe.pose_step * take.rate))
-    kept = [poses[part][::step] for part in parts]
+    kept = [np.arange(len(poses))[part][::step] for part in parts]
+    rows = np.concatenate(kept)
     cut = _Cut(
         read=len(take.xyz),
         used=len(poses),
         rate=take.rate,
         parts=parts,
-        segment=np.repeat(np.arange(len(parts)), [len(rows) for rows in kept]),
-        poses=np.concatenate(kept),
+        segment=np.repeat(np.arange(len(parts)), [len(part) for part in kept]),
+        time=moving.frame[rows] / take.rate,
+        poses=poses[rows],
+        velocities=moving.velocities[rows],
+        origin=moving.origin[rows],
+        yaw=moving.yaw[rows],
     )
     return cut, np.array([moments_of(poses[part]) for part in parts])
 

@@ -29,8 +29,8 @@ from training.moments import (
     mean_and_covariance,
     mirrored_moments,
 )
+from training.networks import Networks
 from training.recipe import MixtureRecipe
-from training.regressor import Networks
 
 Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]

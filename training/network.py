@@ -32,7 +32,7 @@ class NetworkOptions:
 
     hidden: tuple[int, ...] = (384, 384, 384)
     dropout: float = 0.2
-    steps: int = 5000
+    steps: int = 4000
     batch: int = 512
     rate: float = 1.5e-3
 

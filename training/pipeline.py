@@ -29,9 +29,9 @@ from training.marker_selection import select_markers
 from training.marker_wishes import Wishes
 from training.moments import columns_of, matrix, mean_and_covariance
 from training.network_fitting import fit_network
+from training.networks import Networks
 from training.progress import Advance
 from training.recipe import MixtureRecipe, NetworkRecipe
-from training.regressor import Networks
 from training.sigma import sigma_factors
 from training.workers import single_threaded
 
@@ -132,14 +132,11 @@ def train(
     graph = fitted.graph
     if isinstance(graph, Networks):
         again, again_lacking = known
-        whole, part = (
-            network.with_sigma(sigma_factors([one.surprise for one in results]))
-            for network, results in (
-                (graph.whole, held + again),
-                (graph.part, lacking + again_lacking),
-            )
+        tracked = [MARKERS.index(label) for label in fitted.info.tracked]
+        graph = graph.with_sigma(
+            sigma_factors([one.surprise for one in held + again]),
+            sigma_factors([one.surprise[tracked] for one in lacking + again_lacking]),
         )
-        graph = Networks(whole, part)
     deviation = np.sqrt(np.nanmean([one.squared_error for one in held], axis=0))
     advance("the model itself", FIT_WORK)
     # As captured: mirror images are not counted.

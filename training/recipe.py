@@ -53,14 +53,15 @@ class NetworkRecipe(Recipe):
     """How to train a network on top of a linear prior. Which values, and why:
     docs/decisions/0016-network.md.
 
-    members: networks whose mean is taken. share: how much of what they add to the linear prior
-    counts: less than all is as near and smoother.
+    pose, velocity, recall: each network's, see `training.networks`.
     """
 
-    network: NetworkOptions = field(default_factory=NetworkOptions)
+    pose: NetworkOptions = field(default_factory=NetworkOptions)
+    velocity: NetworkOptions = field(
+        default_factory=lambda: NetworkOptions(hidden=(256, 256, 256), steps=3000)
+    )
+    recall: NetworkOptions = field(default_factory=NetworkOptions)
     examples: ExampleOptions = field(default_factory=ExampleOptions)
-    members: int = 1
-    share: float = 0.8
 
 
 RECIPES: dict[str, MixtureRecipe | NetworkRecipe] = {

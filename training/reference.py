@@ -9,10 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import onnx
 from onnx import numpy_helper
 
 from drivers.frame import Floats
+
+Array = npt.NDArray[np.float64]
 
 
 class ReferenceModel:
@@ -74,7 +77,7 @@ class ReferenceModel:
 
 
 class ReferenceNetworks:
-    """The file of networks, run in double precision. Same call as `bridge.model.Model.regress`."""
+    """The file of networks, run in double precision. Same calls as `bridge.model.Model` has."""
 
     def __init__(self, path: str | Path) -> None:
         graph = onnx.load(str(path)).graph
@@ -82,22 +85,74 @@ class ReferenceNetworks:
             entry.name: numpy_helper.to_array(entry).astype(float) for entry in graph.initializer
         }
 
-    def regress(self, x: Floats, present: Floats) -> tuple[Floats, Floats]:
-        """z (n, 3M) and sigma (n, M) of n frames x (n, 3F), the markers present being (n, T)."""
-        constants = self._constants
-        there = present[:, constants["rows"].astype(int)]
-        u = np.hstack([(x - constants["mean"]) * constants["unit"] * there, present])
-        name = "whole" if present.all() else "part"
-        ends: list[Floats] = []
-        while f"{name}_{len(ends)}_0_weights" in constants:
-            units, layer = u, 0
-            while (at := f"{name}_{len(ends)}_{layer}") + "_weights" in constants:
-                a = units @ constants[f"{at}_weights"] + constants[f"{at}_bias"]
-                units = a / (1.0 + np.exp(-a))
-                layer += 1
-            ends.append(units)
-        last = np.hstack([*ends, u])
-        outputs = last @ constants[f"{name}_last_weights"] + constants[f"{name}_last_bias"]
-        width = int(constants["parts"][0])
-        z, sigma = outputs[:, :width], np.exp(outputs[:, width:])
-        return z.astype(np.float32), sigma.astype(np.float32)
+    def estimate(self, tracked: Floats, velocity: Floats) -> tuple[Floats, Floats, Floats]:
+        """All markers (M, 3), sigma (M,) and velocities (M, 3) of one frame: the tracked markers
+        (T, 3) and their velocities.
+        """
+        u = self._scaled(tracked.ravel())
+        outputs = self._last("pose", u)
+        markers = len(outputs) // 4
+        speed = np.sqrt((velocity.astype(float) ** 2).mean() + self._constants["slow"][0])
+        moving = speed * self._last("velocity", np.append(u, velocity.ravel() / speed))
+        return (
+            outputs[: 3 * markers].reshape(-1, 3).astype(np.float32),
+            np.exp(outputs[3 * markers :]).astype(np.float32),
+            moving.reshape(-1, 3).astype(np.float32),
+        )
+
+    def recall(self, tracked: Floats, present: Floats, memory: Floats) -> tuple[Floats, Floats]:
+        """The tracked markers (n, T, 3) and their sigma (n, T), of n frames that lack some."""
+        rows = zip(tracked, present, memory, strict=True)
+        found = [self._recalled(*(part.astype(float) for part in row)) for row in rows]
+        markers, sigma = (np.array(part, np.float32) for part in zip(*found, strict=True))
+        return markers, sigma
+
+    def _recalled(self, now: Array, present: Array, memory: Array) -> tuple[Array, Array]:
+        constants, width = self._constants, len(now)
+        then, left, pace = memory[:-1].reshape(3, width)
+        age, way = memory[-1], left - then
+        there = np.repeat(present, 3)
+        told = min(age, constants["oldest"][0])
+        inputs = np.hstack(
+            [
+                there * self._scaled(now),
+                there * (now - then) * constants["unit"],
+                (1 - there) * self._scaled(then),
+                (1 - there)
+                * constants["unit"]
+                * way
+                / np.sqrt(1 + (way * constants["per_far"]) ** 2),
+                (1 - there) * pace * constants["per_pace"],
+                present,
+                np.exp(told * constants["per_memory"]),
+                np.log(told * constants["per_age"]),
+            ]
+        )
+        units = self._units("recall", inputs)
+        outputs = units @ constants["recall_last_weights"] + constants["recall_last_bias"]
+        fades = (1 - np.exp(age * constants["per_fade"])) ** 3
+        prior = inputs @ constants["prior_weights"] + constants["prior_bias"]
+        found = then + (way + pace * age) / (1 + (age * constants["per_coast"]) ** 4)
+        found = found + fades @ prior.reshape(len(fades), -1)
+        found = found + fades[int(constants["own_fade"][0])] * outputs[:width]
+        return found.reshape(-1, 3), np.exp(outputs[width:])
+
+    def _scaled(self, x: Array | Floats) -> Array:
+        scaled: Array = (x - self._constants["mean"]) * self._constants["unit"]
+        return scaled
+
+    def _units(self, name: str, inputs: Array) -> Array:
+        """The last hidden units of a network."""
+        layer = 0
+        while f"{name}_{layer}_weights" in self._constants:
+            a = inputs @ self._constants[f"{name}_{layer}_weights"]
+            a = a + self._constants[f"{name}_{layer}_bias"]
+            inputs, layer = a / (1.0 + np.exp(-a)), layer + 1
+        return inputs
+
+    def _last(self, name: str, inputs: Array) -> Array:
+        """The outputs of a network with its prior."""
+        last = np.append(self._units(name, inputs), inputs)
+        weights, bias = (self._constants[f"{name}_last_{part}"] for part in ("weights", "bias"))
+        found: Array = last @ weights + bias
+        return found

@@ -52,6 +52,7 @@ def test_the_default_model_is_small() -> None:
             "not a whole ONNX file",
         ),
         ("version", lambda path: changed(path, format=99), "model format 99"),
+        ("old", lambda path: changed(path, format=1), "model format 1, this program reads 2"),
         ("history", lambda path: changed(path, history="ten"), "history is not a number"),
         ("frame", lambda path: changed(path, body_frame="upside-down"), "unknown body frame"),
         ("shape", lambda path: changed(path, sigma=[0.1]), "sigma is not of shape"),
@@ -69,20 +70,95 @@ def test_a_file_that_is_no_model_gets_one_clear_line(tmp_path: Path, name, make,
     assert "\n" not in str(caught.value)
 
 
-def test_a_description_of_other_markers_than_the_graph_is_told(tmp_path: Path) -> None:
-    """As many as the description needs, but not those that the graph takes."""
-    info = Model("default").info
-    fewer = info.labels[:-1]
-    path = changed(tmp_path / "fewer.onnx", labels=fewer, sigma=info.sigma[:-1])
-    with pytest.raises(ModelError, match="the graph gives shapes"):
+@pytest.mark.parametrize("kind", ["network", "mixture"])
+def test_a_description_of_other_markers_than_the_graphs_is_told(
+    tmp_path: Path, kind, request
+) -> None:
+    """As many as the description needs, but not those that the graph gives."""
+    model = request.getfixturevalue(f"{kind}_model")
+    info = model.info
+    assert info.labels[-1] in info.unworn
+    path = changed(
+        tmp_path / "fewer.onnx",
+        model.path,
+        labels=info.labels[:-1],
+        sigma=info.sigma[:-1],
+        sensitivity=info.sensitivity[:-3],
+    )
+    with pytest.raises(ModelError, match="not usable as a model"):
         Model(path)
 
 
-def test_a_mixture_needs_its_global_map(tmp_path: Path, mixture_model: Model) -> None:
-    assert isinstance(mixture_model.path, Path)
-    path = changed(tmp_path / "mapless.onnx", mixture_model.path, sensitivity=[])
+def test_a_description_of_other_tracked_markers_than_the_graph_takes_is_told(
+    tmp_path: Path, network_model: Model
+) -> None:
+    """The first principal marker as one that nobody wears, and all else as it must be then."""
+    info = network_model.info
+    sensitivity, covariance = np.array(info.sensitivity), np.array(info.covariance)
+    path = changed(
+        tmp_path / "unworn.onnx",
+        network_model.path,
+        principal=info.principal[1:],
+        mean=info.mean[1:],
+        covariance=covariance[3:, 3:].tolist(),
+        sigma=[0.1, *info.sigma],
+        sensitivity=np.vstack([sensitivity[:3], sensitivity])[:, 3:].tolist(),
+    )
+    with pytest.raises(ModelError, match="not usable as a model") as caught:
+        Model(path)
+    assert "\n" not in str(caught.value)
+
+
+def without_an_input(model: Model, name: str, path: Path) -> Path:
+    """The graph with an input made a constant, so that nobody may feed it."""
+    proto = onnx.load(model.path)
+    entry = next(entry for entry in proto.graph.input if entry.name == name)
+    shape = [size.dim_value or 1 for size in entry.type.tensor_type.shape.dim]
+    zeros = onnx.numpy_helper.from_array(np.zeros(shape, np.float32), name)
+    proto.graph.input.remove(entry)
+    proto.graph.initializer.append(zeros)
+    onnx.save(proto, path)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [("network", "x"), ("network", "v"), ("network", "memory"), ("mixture", "x")],
+)
+def test_a_graph_without_one_of_its_inputs_is_told(tmp_path: Path, kind, name, request) -> None:
+    model = request.getfixturevalue(f"{kind}_model")
+    with pytest.raises(ModelError, match="not usable as a model"):
+        Model(without_an_input(model, name, tmp_path / "deaf.onnx"))
+
+
+@pytest.mark.parametrize("kind", ["network", "mixture"])
+def test_a_model_needs_its_global_map(tmp_path: Path, kind, request) -> None:
+    model = request.getfixturevalue(f"{kind}_model")
+    path = changed(tmp_path / "mapless.onnx", model.path, sensitivity=[])
     with pytest.raises(ModelError, match="sensitivity is not of shape"):
         Model(path)
+
+
+def test_networks_answer_for_frames_that_lack_nothing_and_for_those_that_do(
+    network_model: Model,
+) -> None:
+    info, random = network_model.info, np.random.default_rng(0)
+    count, markers = len(info.tracked), len(info.labels)
+    assert network_model.leaves == 0
+    assert network_model.width == 3 * count
+    still = np.zeros((count, 3), np.float32)
+    pose, sigma, velocities = network_model.estimate(still, still)
+    assert (pose.shape, sigma.shape, velocities.shape) == ((markers, 3), (markers,), (markers, 3))
+    assert (sigma > 0).all()
+    for frames in (1, 5):
+        present = np.ones((frames, count), np.float32)
+        present[:, 0] = 0
+        memory = random.normal(size=(frames, 9 * count + 1)).astype(np.float32)
+        memory[:, -1] = 0.5
+        shown = np.zeros((frames, 3 * count), np.float32)
+        recalled, sigma = network_model.recall(shown, present, memory)
+        assert (recalled.shape, sigma.shape) == ((frames, count, 3), (frames, count))
+        assert (sigma > 0).all()
 
 
 def test_a_foreign_onnx_file_is_told_from_ours(tmp_path: Path) -> None:
@@ -96,7 +172,10 @@ def test_a_foreign_onnx_file_is_told_from_ours(tmp_path: Path) -> None:
 def test_a_copy_elsewhere_is_the_same_model(tmp_path: Path) -> None:
     shutil.copy(DEFAULT, tmp_path / "copy.onnx")
     one, other = Model("default"), Model(tmp_path / "copy.onnx")
-    x = np.random.default_rng(0).normal(size=(1, one.width)).astype(np.float32)
-    present = np.ones((1, len(one.info.tracked)), np.float32)
-    for here, there in zip(one.regress(x, present), other.regress(x, present), strict=True):
-        np.testing.assert_array_equal(here, there)
+    assert one.info == other.info
+    tracked, velocity = (
+        np.random.default_rng(0).normal(size=(2, len(one.info.tracked), 3)).astype(np.float32)
+    )
+    here, there = one.estimate(tracked, velocity), other.estimate(tracked, velocity)
+    for found, again in zip(here, there, strict=True):
+        np.testing.assert_array_equal(found, again)

@@ -19,10 +19,8 @@ from tests.training.small_models import small_mixture, small_networks
 @pytest.fixture(scope="module")
 def networks(data_dir, tmp_path_factory) -> str:
     """The file of networks that know nobody of the walk's performer."""
-    names = ("02_01", "16_07", "01_01")
-    captures = [read_c3d(data_dir / f"real/{name}.c3d").xyz for name in names]
     path = tmp_path_factory.mktemp("networks") / "small.onnx"
-    small_networks(path, captures)
+    small_networks(path, data_dir, ("02_01", "16_07", "01_01"))
     return str(path)
 
 

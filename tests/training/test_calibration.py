@@ -13,25 +13,25 @@ import onnx
 import pytest
 from onnx import numpy_helper
 
-from bridge.estimator import PoseEstimator, body_frame
+from bridge.estimator import PoseEstimator
 from bridge.model import Model
-from bridge.regression import regression_of
 from drivers.c3d_file import read_c3d, write_c3d
 from drivers.frame import Layout, MarkerFrame
 from drivers.marker_set import MARKERS
 from tests.training.small_models import small_mixture, small_networks
 from training.calibration import (
+    MAX_FRAMES,
     NOISE,
     SHARE,
     _correction,
     _mixture_errors,
     _network_errors,
-    _shown,
     adapted,
     calibrated,
 )
 from training.dataset import DatasetError
 from training.evaluate_command import main
+from training.poses import body_poses
 from training.reference import ReferenceModel
 
 
@@ -43,9 +43,8 @@ def mixture(small_dir, tmp_path_factory) -> Model:
 @pytest.fixture(scope="module")
 def networks(data_dir, tmp_path_factory) -> Model:
     """Networks that know nobody of the walk's performer."""
-    names = ("02_01", "16_07", "01_01")
-    captures = [read_c3d(data_dir / f"real/{name}.c3d").xyz for name in names]
-    return small_networks(tmp_path_factory.mktemp("networks") / "small.onnx", captures)
+    path = tmp_path_factory.mktemp("networks") / "small.onnx"
+    return small_networks(path, data_dir, ("02_01", "16_07", "01_01"))
 
 
 @pytest.fixture(scope="module")
@@ -64,6 +63,16 @@ def mine(networks, walk, tmp_path_factory) -> Model:
 def _errors(model: Model, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     complete = ~np.isnan(xyz).any(axis=(1, 2))
     return _mixture_errors(model, xyz, complete, 120.0)
+
+
+def _constants(model: Model) -> dict[str, np.ndarray]:
+    file = onnx.load(str(model.path))
+    return {entry.name: numpy_helper.to_array(entry) for entry in file.graph.initializer}
+
+
+def _shown(model: Model, xyz: np.ndarray) -> np.ndarray:
+    """The tracked markers of whole frames (N, 41, 3), in the body frame."""
+    return body_poses(xyz)[:, [MARKERS.index(label) for label in model.info.tracked]]
 
 
 def _rms(model: Model, xyz: np.ndarray) -> float:
@@ -113,25 +122,31 @@ def test_the_correction_is_the_ridge_of_what_the_network_is_off_by() -> None:
 
 
 def test_the_correction_is_what_the_file_says_more(networks, mine, walk) -> None:
-    """Of frames that lack no marker and of frames that lack one, by a forward run of both files."""
+    """By a forward run of both files, also on frames that it was not adapted to."""
     complete = ~np.isnan(walk).any(axis=(1, 2))
-    complete[130:] = False
-    file = onnx.load(str(networks.path))
-    constants = {entry.name: numpy_helper.to_array(entry) for entry in file.graph.initializer}
-    whole, lacking = _shown(networks, walk[:130], complete[:130])
-    units, off = _network_errors(networks, constants, "whole", whole)
-    moved = mine.regress(whole.features, whole.present)[0]
-    moved = moved - networks.regress(whole.features, whole.present)[0]
-    np.testing.assert_allclose(moved, units @ _correction(units, off), atol=1e-4)
-    for label, frames in zip(networks.info.tracked, lacking, strict=True):
-        assert (frames.present.sum(axis=1) == len(lacking) - 1).all()
-        row = MARKERS.index(label)
-        columns = slice(3 * row, 3 * row + 3)
-        units, off = _network_errors(networks, constants, "part", frames)
-        moved = mine.regress(frames.features, frames.present)[0]
-        moved = moved - networks.regress(frames.features, frames.present)[0]
-        expected = units @ _correction(units, off[:, columns])
-        np.testing.assert_allclose(moved[:, columns], expected, atol=1e-4)
+    units, off = _network_errors(networks, _constants(networks), walk[:130], complete[:130])
+    correction = _correction(units, off)
+    everywhere, _ = _network_errors(networks, _constants(networks), walk, complete)
+    shown = _shown(networks, walk[complete])
+    assert len(shown) == len(everywhere) > len(units)
+    still = np.zeros_like(shown[0])
+    for unit, tracked in zip(everywhere, shown, strict=True):
+        before, after = (one.estimate(tracked, still)[0] for one in (networks, mine))
+        np.testing.assert_allclose((after - before).ravel(), unit @ correction, atol=1e-4)
+
+
+def test_of_a_long_recording_frames_are_taken_evenly(networks, walk) -> None:
+    """As many as are enough, the same as are fitted of those frames alone."""
+    complete = ~np.isnan(walk).any(axis=(1, 2))
+    long = np.concatenate([walk[complete]] * 4)
+    assert len(long) > MAX_FRAMES
+    units, off = _network_errors(networks, _constants(networks), long, np.ones(len(long), bool))
+    assert len(units) == len(off) == MAX_FRAMES
+    chosen = np.linspace(0, len(long) - 1, MAX_FRAMES).round().astype(int)
+    every, _ = _network_errors(
+        networks, _constants(networks), walk[complete], np.ones(complete.sum(), bool)
+    )
+    np.testing.assert_allclose(units, every[chosen % complete.sum()], atol=1e-4)
 
 
 def test_the_estimate_comes_nearer_on_the_rest_of_the_walk(mixture, networks, mine, walk) -> None:
@@ -144,41 +159,33 @@ def test_the_estimate_comes_nearer_on_the_rest_of_the_walk(mixture, networks, mi
         assert after.info.training["calibrated_seconds"] > 0.8
 
 
-def test_a_missing_marker_is_guessed_nearer(networks, mine, walk) -> None:
-    tracked = networks.info.tracked
-    hidden = tracked.index("LANK")
-    rows = [MARKERS.index(label) for label in tracked]
-    present = np.arange(len(tracked)) != hidden
-    off = []
-    for one in (networks, mine):
-        body, regression = body_frame(one.info), regression_of(one, 0)
-        guesses = []
-        for frame in walk[130:, rows]:
-            body.update(frame)
-            seen = body.to_body(frame)
-            guessed, _ = regression.guess(seen, present, 0.0)
-            guesses.append(guessed[hidden] - seen[hidden])
-        off.append(np.sqrt(np.mean(np.square(guesses))))
-    assert off[1] < 0.8 * off[0]
-
-
-def test_sigma_shrinks_within_bounds_and_the_rest_of_the_file_stays(networks, mine) -> None:
-    before, after = (
-        {
-            entry.name: numpy_helper.to_array(entry)
-            for entry in onnx.load(str(one.path)).graph.initializer
-        }
-        for one in (networks, mine)
-    )
+def test_only_the_last_layer_of_the_pose_changes_and_sigma_shrinks(networks, mine, walk) -> None:
+    before, after = _constants(networks), _constants(mine)
     assert before.keys() == after.keys()
     changed = {name for name in before if not np.array_equal(before[name], after[name])}
-    assert changed == {
-        f"{name}_last_{part}" for name in ("whole", "part") for part in ("weights", "bias")
-    }
-    x, present = np.zeros((1, networks.width), np.float32), np.ones((1, 9), np.float32)
-    shrinks = mine.regress(x, present)[1] / networks.regress(x, present)[1]
-    np.testing.assert_allclose(shrinks, shrinks[0, 0], rtol=1e-4)
-    assert 0.5 < shrinks[0, 0] < 0.99  # a second of walking does not tell everything
+    assert changed == {"pose_last_weights", "pose_last_bias"}
+    # Of the weights, those of the hidden units: what the markers say by themselves stays.
+    weights = [one["pose_last_weights"][-len(one["mean"]) :] for one in (before, after)]
+    np.testing.assert_array_equal(*weights)
+    tracked, other = _shown(networks, walk)[[5, 50]]
+    (_, sigma, moves), (_, less, same) = (
+        one.estimate(tracked, tracked - other) for one in (networks, mine)
+    )
+    np.testing.assert_array_equal(moves, same)
+    shrinks = less / sigma
+    np.testing.assert_allclose(shrinks, shrinks[0], rtol=1e-4)
+    assert 0.5 < shrinks[0] < 0.99  # a second of walking does not tell everything
+
+
+def test_where_a_missing_marker_is_is_told_by_its_last_sighting_as_before(networks, mine) -> None:
+    markers = len(networks.info.tracked)
+    random = np.random.default_rng(0)
+    x, memory = random.normal(0, 0.3, (5, 3 * markers)), random.random((5, 9 * markers + 1))
+    present = np.float32(random.random((5, markers)) < 0.5)
+    present[:, 0] = 0.0
+    fed = x.astype(np.float32), present, memory.astype(np.float32)
+    for before, after in zip(networks.recall(*fed), mine.recall(*fed), strict=True):
+        np.testing.assert_array_equal(before, after)
 
 
 def test_too_few_whole_frames_are_refused(mixture, networks, walk) -> None:

@@ -1,18 +1,21 @@
 import shutil
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
+from bridge.body_frame import CONSTRUCTIONS
 from drivers.c3d_file import read_c3d, write_c3d
 from drivers.errors import MarkerbridgeError
-from training.corpus import read_corpus, work_of
+from training.corpus import Corpus, read_corpus, work_of
 from training.dataset import captures, load_training, training_captures
 from training.moments import moments_of
-from training.poses import body_poses
+from training.poses import moving_poses
 from training.recipe import RECIPES, Recipe
 from training.workers import workers
 
 RECIPE = RECIPES["local"]
+PER_POSE = ("segment", "time", "poses", "velocities", "origin", "yaw")
 
 
 def read(folder, recipe=RECIPE, warn=pytest.fail):
@@ -36,7 +39,8 @@ def test_it_holds_every_segment_of_every_capture(corpus, small_dir):
     assert corpus.frames_read.tolist() == [len(take.xyz) for take in takes]
     row = 0
     for number, take in enumerate(takes):
-        poses = body_poses(take.xyz)
+        moving = moving_poses(take.xyz, take.rate, CONSTRUCTIONS[RECIPE.body_frame])
+        poses = moving.poses
         assert corpus.frames_used[number] == len(poses)
         for part in RECIPE.segmentation.cut(poses.reshape(len(poses), -1), take.rate):
             assert corpus.capture[row] == number
@@ -44,7 +48,11 @@ def test_it_holds_every_segment_of_every_capture(corpus, small_dir):
             assert corpus.frames[row] == part.stop - part.start
             assert corpus.seconds[row] == corpus.frames[row] / take.rate
             np.testing.assert_array_equal(corpus.moments[row], moments_of(poses[part]))
-            np.testing.assert_array_equal(corpus.poses[corpus.segment == row], poses[part][::4])
+            kept = corpus.segment == row
+            np.testing.assert_array_equal(corpus.time[kept], moving.frame[part][::4] / take.rate)
+            for name in PER_POSE[2:]:
+                expected = getattr(moving, name)[part][::4]
+                np.testing.assert_array_equal(getattr(corpus, name)[kept], expected)
             row += 1
     assert row == len(corpus.frames) == len(corpus.moments)
 
@@ -56,14 +64,35 @@ def test_poses_are_kept_within_the_limit_from_all_segments(small_dir, corpus):
     np.testing.assert_array_equal(few.moments, corpus.moments)
 
 
+def test_poses_are_kept_when_they_were_whatever_the_capture_lacks(small_dir, tmp_path):
+    """Times go on through frames that lack a marker, of a capture of any rate."""
+    clip = read_c3d(small_dir / "real/02_01.c3d")
+    xyz = clip.xyz.copy()
+    xyz[40:100, 7] = np.nan
+    write_c3d(tmp_path / "holed.c3d", replace(clip.layout, rate=60.0), xyz)
+    corpus = read(tmp_path)
+    frames = corpus.time * 60
+    assert frames.max() > len(xyz) - 5
+    assert not ((frames >= 40) & (frames < 100)).any()
+    moving = moving_poses(xyz, 60.0, CONSTRUCTIONS[RECIPE.body_frame])
+    rows = np.searchsorted(moving.frame, frames.round())
+    np.testing.assert_allclose(frames, moving.frame[rows], atol=1e-9)
+    np.testing.assert_array_equal(corpus.velocities, moving.velocities[rows])
+
+
 def test_of_begun_captures_the_real_ones_lack_their_ends(corpus):
     begun = corpus.begun(0.6)
     capture, kept = corpus.capture[corpus.segment], begun.capture[begun.segment]
     for number, one in enumerate(corpus.captures):
-        poses, first = corpus.poses[capture == number], begun.poses[kept == number]
-        assert len(first) == (np.ceil(0.6 * len(poses)) if one.real else len(poses))
-        np.testing.assert_array_equal(first, poses[: len(first)])
-    np.testing.assert_array_equal(begun.moments, corpus.moments)
+        count = (capture == number).sum()
+        first = np.ceil(0.6 * count) if one.real else count
+        assert (kept == number).sum() == first
+        for name in PER_POSE:
+            own, rest = getattr(corpus, name)[capture == number], getattr(begun, name)
+            np.testing.assert_array_equal(rest[kept == number], own[: int(first)])
+    for entry in fields(Corpus):
+        if entry.name not in PER_POSE:
+            assert getattr(begun, entry.name) is getattr(corpus, entry.name)
     assert {one.real for one in corpus.captures} == {True, False}
 
 
@@ -71,8 +100,8 @@ def test_the_order_of_work_changes_nothing(small_dir, corpus):
     again = read_corpus(  # without workers: one after the other
         small_dir, training_captures(small_dir), RECIPE, lambda *_: None, pytest.fail
     )
-    np.testing.assert_array_equal(again.moments, corpus.moments)
-    np.testing.assert_array_equal(again.poses, corpus.poses)
+    for name in ("moments", *PER_POSE):
+        np.testing.assert_array_equal(getattr(again, name), getattr(corpus, name))
 
 
 def test_segments_without_some_captures(corpus):

@@ -37,7 +37,8 @@ class InNumpy:
         if model.leaves:
             self.run = ReferenceModel(path).run
         else:
-            self.regress = ReferenceNetworks(path).regress
+            reference = ReferenceNetworks(path)
+            self.estimate, self.recall = reference.estimate, reference.recall
 
 
 def poses(model, take, measured):
@@ -61,7 +62,7 @@ def test_it_says_what_reports_tell_of_its_training(model):
     training = model.info.training
     assert {"02", "07", "16", "85", "bd"} <= set(training["performers"])
     assert "unknown" not in training["performers"]
-    assert training["recipe"]["network"]["steps"] >= 1000
+    assert training["recipe"]["pose"]["steps"] >= 1000
     assert model.info.accuracy["folds"]["people"]
 
 
@@ -98,4 +99,4 @@ def test_its_accuracy_is_what_it_says_and_beats_the_nearest_neighbour(model, tes
     said = model.info.accuracy["test"]
     assert {name: mean[name] for name in said} == pytest.approx(said, abs=0.02)
     assert mean["rms_ratio"] <= 0.52
-    assert mean["jerk_ratio"] <= 0.20
+    assert mean["jerk_ratio"] <= 0.18

@@ -5,12 +5,22 @@ import onnx
 import pytest
 from sklearn.ensemble import RandomForestClassifier
 
+from bridge.imputer import NEVER
 from bridge.model import Model, ModelInfo
+from drivers.marker_set import MARKERS
 from training.export import Mixture, to_onnx
 from training.forest import sparse_forest
 from training.network import Network
+from training.networks import (
+    FADES,
+    POSE,
+    Missing,
+    Networks,
+    PoseNetwork,
+    RecallNetwork,
+    VelocityNetwork,
+)
 from training.reference import ReferenceModel, ReferenceNetworks
-from training.regressor import POSE, Networks, Regressor
 
 LEAVES, WIDTH, OUTPUTS = 5, 9, 3 * 37
 
@@ -84,90 +94,131 @@ def test_the_same_model_gives_the_same_bytes(small, minimal_info):
     assert to_onnx(graph, info) == path.read_bytes()
 
 
-@pytest.fixture(scope="module", params=[1, 2], ids=["one member", "two members"])
-def networks(request, minimal_info, tmp_path_factory):
-    """Random networks: their file, the networks, and rows with the markers that are present."""
+COUNT = 50
+
+
+@pytest.fixture(scope="module")
+def networks(minimal_info, tmp_path_factory):
+    """Random networks, of different sizes, and their file."""
     random = np.random.default_rng(0)
-    tracked, markers = minimal_info.tracked, len(minimal_info.labels)
-    rows = np.repeat([tracked.index(label) for label in minimal_info.features], 3)
-    inputs = len(rows) + len(tracked)
-    mean = random.normal(0, 0.3, len(rows)).astype(np.float32)
+    markers = len(minimal_info.tracked)
+    width, told = 3 * markers, 16 * markers + 4
+    mean = normal(random, 0.3, width)
 
-    def regressor(hidden):
-        members = tuple(
-            Network.random((inputs, *hidden, POSE + markers), random) for _ in range(request.param)
-        )
-        for member in members:
-            for bias in member.weights[1::2]:
-                bias[:] = random.normal(0, 0.2, bias.shape)
-            member.weights[-1][POSE:] -= 3.0  # sigma is some centimetres
-        skip = random.normal(0, 0.1, (inputs + 1, POSE)).astype(np.float32)
-        return Regressor(mean, rows, skip, 0.8, members)
+    def network(*sizes, sigmas=0):
+        found = Network.random(sizes, random)
+        for bias in found.weights[1::2]:
+            bias[:] = random.normal(0, 0.2, bias.shape)
+        found.weights[-1][sizes[-1] - sigmas :] -= 3.0  # sigma is some centimetres
+        return found
 
-    # Of different sizes: the two may differ in all but what they take and give.
-    graph = Networks(regressor((32, 24)), regressor((40,)))
-    info = replace(minimal_info, estimator="best", history=0, sensitivity=[])
+    graph = Networks(
+        PoseNetwork(
+            mean,
+            normal(random, 0.1, (width + 1, POSE)),
+            network(width, 32, 24, POSE + len(MARKERS), sigmas=len(MARKERS)),
+        ),
+        VelocityNetwork(mean, normal(random, 0.3, (width, POSE)), network(2 * width, 40, POSE)),
+        RecallNetwork(
+            mean,
+            normal(random, 0.1, (len(FADES) * (told + 1), width)),
+            network(told, 16, 20, 12, width + markers, sigmas=markers),
+        ),
+    )
     path = tmp_path_factory.mktemp("export") / "networks.onnx"
-    path.write_bytes(to_onnx(graph, info))
-    count = 50
-    features = random.normal(0, 0.5, (count, len(rows) // 3, 3)).astype(np.float32)
-    present = (random.random((count, len(tracked))) < 0.6).astype(np.float32)
-    present[0] = 0.0
-    return path, graph, features, present
+    path.write_bytes(to_onnx(graph, replace(minimal_info, estimator="best", history=0)))
+    return path, graph
 
 
-def test_networks_give_the_same_in_the_file_in_the_reference_and_in_training(networks):
-    """Frame by frame: with all markers, without some, and without any."""
-    path, graph, features, present = networks
+def normal(random, spread, shape):
+    return random.normal(0, spread, shape).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def frames(networks):
+    """Tracked markers (COUNT, T, 3) and velocities, from rest to many times a body's pace."""
+    random = np.random.default_rng(1)
+    shape = COUNT, len(networks[1].pose.mean) // 3, 3
+    pace = np.geomspace(0.01, 10.0, COUNT - 1)[:, None, None] * normal(random, 1.0, shape)[1:]
+    still = np.zeros((1, *shape[1:]))
+    return normal(random, 0.5, shape), np.concatenate([still, pace]).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def missing(frames):
+    """Frames that lack a marker or all but one, last seen 1 ms to 1 h ago, or never."""
+    random = np.random.default_rng(2)
+    tracked, pace = frames
+    lacks = random.random(tracked.shape[:2]) < random.random((COUNT, 1))
+    lacks[np.arange(COUNT), random.integers(0, lacks.shape[1], COUNT)] = True
+    lacks[lacks.all(axis=1), 0] = False
+    then = tracked + normal(random, 0.2, tracked.shape)
+    far = np.geomspace(0.01, 100.0, COUNT)[:, None, None]  # somebody walked away
+    left = then + far * normal(random, 1.0, tracked.shape)
+    age = np.geomspace(0.001, 3600.0, COUNT)
+    left[-1], pace, age[-1] = then[-1], pace.copy(), NEVER
+    pace[-1] = 0.0
+    shown = np.where(lacks[:, :, None], 0.0, tracked)
+    parts = (shown, ~lacks, then, left, pace, age)
+    return Missing(*(part.astype(np.float32) for part in parts))
+
+
+def fed(missing):
+    """As the file takes them."""
+    count = len(missing.age)
+    parts = (missing.then, missing.left, missing.pace, missing.age)
+    memory = np.concatenate([part.reshape(count, -1) for part in parts], axis=1)
+    return missing.tracked.reshape(count, -1), missing.present, memory
+
+
+def test_of_whole_frames_file_reference_and_training_say_the_same(networks, frames):
+    path, graph = networks
     model, reference = Model(path), ReferenceNetworks(path)
-    whole = np.ones_like(present)
-    for number in range(len(features)):
-        one = slice(number, number + 1)
-        x = features[one].reshape(1, -1)
-        for marks in (present[one], whole[one]):
-            z, sigma = model.regress(x, marks)
-            same_z, same_sigma = reference.regress(x, marks)
-            np.testing.assert_allclose(z, same_z, atol=1e-4)
-            np.testing.assert_allclose(sigma, same_sigma, rtol=1e-4)
-            pose, trained_sigma = graph.estimate(features[one], marks)
-            np.testing.assert_allclose(z, pose.reshape(1, -1), atol=1e-4)
-            np.testing.assert_allclose(sigma, trained_sigma, rtol=1e-4)
-            assert z.dtype == sigma.dtype == np.float32
+    tracked, velocity = frames
+    moving = graph.velocity.estimate(tracked, velocity)
+    trained = zip(*graph.pose.estimate(tracked), moving, strict=True)
+    for one, its, expected in zip(tracked, velocity, trained, strict=True):
+        for source in (model, reference):
+            pose, sigma, moves = source.estimate(one, its)
+            np.testing.assert_allclose(pose, expected[0], atol=1e-4)
+            np.testing.assert_allclose(sigma, expected[1], rtol=1e-4)
+            np.testing.assert_allclose(moves, expected[2], rtol=1e-4, atol=1e-4)
+            assert pose.dtype == sigma.dtype == moves.dtype == np.float32
 
 
-def test_many_frames_at_once_are_as_one_by_one(networks):
-    """Of several frames all must be whole for the network of whole frames."""
-    path, graph, features, present = networks
+def test_of_many_sightings_file_reference_and_training_say_the_same(networks, missing):
+    """All at once and one by one."""
+    path, graph = networks
     model, reference = Model(path), ReferenceNetworks(path)
-    assert present.any()
-    assert not present.all()
-    x = features.reshape(len(features), -1)
-    for marks, used in ((present, graph.part), (np.ones_like(present), graph.whole)):
-        z, sigma = model.regress(x, marks)
-        for expected_z, expected_sigma in (
-            reference.regress(x, marks),
-            used.estimate(features, marks),
-        ):
-            np.testing.assert_allclose(z, expected_z.reshape(len(z), -1), atol=1e-4)
-            np.testing.assert_allclose(sigma, expected_sigma, rtol=1e-4)
+    markers, sigma = graph.recall.estimate(missing)
+    x, present, memory = fed(missing)
+    # What is right of far places is so to float32.
+    close = {"rtol": 1e-5, "atol": 2e-4}
+    for source in (model, reference):
+        found, deviation = source.recall(x, present, memory)
+        np.testing.assert_allclose(found, markers, **close)
+        np.testing.assert_allclose(deviation, sigma, rtol=1e-4)
+        assert found.dtype == deviation.dtype == np.float32
+    for row in range(COUNT):
+        one = slice(row, row + 1)
+        found, deviation = model.recall(x[one], present[one], memory[one])
+        np.testing.assert_allclose(found, markers[one], **close)
+        np.testing.assert_allclose(deviation, sigma[one], rtol=1e-4)
 
 
-def test_what_a_missing_marker_would_say_does_not_count(networks):
-    path, _, features, present = networks
+def test_what_a_missing_marker_would_say_does_not_count(networks, missing):
+    path, _ = networks
     model = Model(path)
-    rows = [model.info.tracked.index(label) for label in model.info.features]
-    other = features + 5.0 * (present[:, rows, None] == 0)
-    assert (other != features).any()
-    for one, two in zip(
-        model.regress(features.reshape(len(features), -1), present),
-        model.regress(other.reshape(len(features), -1).astype(np.float32), present),
-        strict=True,
-    ):
+    x, present, memory = fed(missing)
+    lies = np.where(np.repeat(present, 3, axis=1) == 0, x + 5.0, x).astype(np.float32)
+    assert (lies != x).any(axis=1).all()
+    expected = model.recall(x, present, memory)
+    for one, two in zip(expected, model.recall(lies, present, memory), strict=True):
         np.testing.assert_array_equal(one, two)
 
 
 def test_the_same_networks_give_the_same_bytes(networks):
-    path, graph, _, _ = networks
+    path, graph = networks
     info = ModelInfo.from_json(onnx.load(str(path)).metadata_props[0].value)
     assert to_onnx(graph, info) == path.read_bytes()
     onnx.checker.check_model(onnx.load(str(path)))

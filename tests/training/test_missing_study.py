@@ -178,9 +178,16 @@ def test_there_is_a_row_for_each_and_the_methods_differ(study) -> None:
 
 
 def test_of_networks_all_but_the_proximities_are_compared(network_model, poses, short) -> None:
-    """The network's own way is plainly evaluated; the others run it on markers filled in."""
+    """The network's own way is plainly evaluated; the others run it on markers filled in, and so
+    differ by these alone.
+    """
     scores = missing_study(network_model, [short], poses, 0, lambda what, units: None)
     assert methods_of(score.method for score in scores) == ["conditional", "temporal", "bridge"]
+    (plain,) = evaluate(network_model, [short])
+    for score in scores[:3]:
+        assert (score.experiment, score.value) == (NUMBER, 0)
+        clean = plain.scores.rms_mm, plain.scores.jerk_mm
+        assert (score.rms_mm, score.jerk_mm) == pytest.approx(clean, rel=1e-4)
     (result,) = evaluate(network_model, [short], Faults(gaps=Gaps(0.2, 20, 20)))
     of_gaps = {
         score.method: score.rms_mm

@@ -11,8 +11,9 @@ import pytest
 from bridge.model import Model
 from drivers.errors import MarkerbridgeError, UsageError
 from tests.training.conftest import PAPER_SIX
+from tests.training.small_models import networks_recipe
 from training.network import NetworkOptions
-from training.recipe import RECIPES, NetworkRecipe
+from training.recipe import RECIPES
 from training.select_command import main
 from training.train_command import main as train
 
@@ -262,7 +263,7 @@ def test_alone_the_estimator_does_what_training_does(small_dir, tmp_path, capsys
 
 def test_networks_score_sets_as_well(small_dir, tmp_path, monkeypatch):
     options = NetworkOptions(hidden=(16,), steps=30, batch=32)
-    monkeypatch.setitem(RECIPES, "best", NetworkRecipe(network=options))
+    monkeypatch.setitem(RECIPES, "best", networks_recipe(options))
     out = tmp_path / "found.json"
     argv = [str(small_dir), "--by", "error", "--alone", "--count", "3", "--top", "1"]
     assert main([*argv, "--estimator", "best", "--json", str(out)]) == 0

@@ -4,7 +4,15 @@ from scipy import stats
 
 from drivers.marker_set import MARKERS
 from training.network import Network
-from training.regressor import POSE, Regressor
+from training.networks import (
+    FADES,
+    POSE,
+    Missing,
+    Networks,
+    PoseNetwork,
+    RecallNetwork,
+    VelocityNetwork,
+)
 from training.sigma import EDGES, FEWEST, counted, sigma_factors
 
 COUNT = 40_000
@@ -88,18 +96,32 @@ def test_a_sigma_of_zero_is_always_too_small():
     assert counts.sum() == counts[0, -1] == 2  # nothing can be said of no error
 
 
-@pytest.mark.parametrize("members", [1, 2])
-def test_a_network_takes_the_factors_and_estimates_the_same(members):
+def test_networks_take_the_factors_and_say_the_same():
     random = np.random.default_rng(0)
-    sizes = 9 + 4, 5, POSE + len(MARKERS)
-    rows = np.repeat([0, 2, 3], 3)
-    skip = random.normal(size=(14, POSE)).astype(np.float32)
-    networks = tuple(Network.random(sizes, random) for _ in range(members))
-    regressor = Regressor(np.zeros(9, np.float32), rows, skip, 0.8, networks)
+    markers, told = 4, 16 * 4 + 4
+    mean = np.zeros(3 * markers, np.float32)
+
+    def prior(*shape):
+        return random.normal(size=shape).astype(np.float32)
+
+    def network(*sizes):
+        return Network.random(sizes, random)
+
+    networks = Networks(
+        PoseNetwork(mean, prior(13, POSE), network(12, 5, POSE + len(MARKERS))),
+        VelocityNetwork(mean, prior(12, POSE), network(24, 6, POSE)),
+        RecallNetwork(mean, prior(len(FADES) * (told + 1), 12), network(told, 7, 12 + markers)),
+    )
     factors = random.uniform(0.5, 2.0, len(MARKERS))
-    features = random.normal(size=(6, 3, 3)).astype(np.float32)
-    present = np.ones((6, 4), np.float32)
-    pose, sigma = regressor.estimate(features, present)
-    same, changed = regressor.with_sigma(factors).estimate(features, present)
-    np.testing.assert_array_equal(same, pose)
-    np.testing.assert_allclose(changed, sigma * factors, rtol=1e-5)
+    lacking = random.uniform(0.5, 2.0, markers)
+    changed = networks.with_sigma(factors, lacking)
+    assert changed.velocity is networks.velocity
+    tracked = prior(6, markers, 3)
+    age, ones = np.full(6, 0.2, np.float32), np.ones((6, markers), np.float32)
+    missing = Missing(tracked, ones, tracked + 0.1, tracked, tracked, age)
+    for (found, sigma), (same, scaled), factor in (
+        (networks.pose.estimate(tracked), changed.pose.estimate(tracked), factors),
+        (networks.recall.estimate(missing), changed.recall.estimate(missing), lacking),
+    ):
+        np.testing.assert_array_equal(same, found)
+        np.testing.assert_allclose(scaled, sigma * factor, rtol=1e-5)

@@ -12,14 +12,15 @@ from drivers.c3d_file import read_c3d
 from drivers.errors import UsageError
 from drivers.frame import Layout, MarkerFrame
 from drivers.marker_set import MARKERS
+from tests.training.small_models import networks_recipe
 from training.network import NetworkOptions
-from training.recipe import RECIPES, NetworkRecipe
+from training.recipe import RECIPES
 from training.train_command import main
 
 FOUR = "LWRB,RWRB,LANK,RANK"
 TRACKED = (*FOUR.split(","), "LSHO", "RSHO")
 AT = [MARKERS.index(label) for label in TRACKED]
-SMALL = NetworkRecipe(network=NetworkOptions(hidden=(32,), steps=150, batch=128))
+SMALL = networks_recipe(NetworkOptions(hidden=(32,), steps=150, batch=128))
 
 
 @pytest.fixture(scope="module", params=["best", "local"])
@@ -133,7 +134,7 @@ def test_without_a_wish_the_markers_are_chosen_in_that_frame(small_dir, tmp_path
 
 def test_same_seed_same_networks(small_dir, tmp_path, monkeypatch):
     few = NetworkOptions(hidden=(8,), steps=10, batch=32)
-    monkeypatch.setitem(RECIPES, "best", NetworkRecipe(network=few, members=2))
+    monkeypatch.setitem(RECIPES, "best", networks_recipe(few))
     digests = []
     for name, seed in (("a", "0"), ("b", "0"), ("c", "1")):
         out = tmp_path / f"{name}.onnx"

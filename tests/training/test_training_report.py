@@ -149,8 +149,11 @@ def test_a_folder_without_walks_one_segment_and_no_folds(small_dir, tmp_path):
 
 def test_of_networks_without_c7(small_dir, tmp_path, monkeypatch, takes):
     """All 41 markers move in their body frame; there are no clusters and no forest."""
-    options = NetworkOptions(hidden=(24, 16), steps=20, batch=32, dropout=0.25, rate=0.002)
-    monkeypatch.setitem(RECIPES, "best", NetworkRecipe(network=options, members=2))
+    pose = NetworkOptions(hidden=(24, 16), steps=20, batch=32, dropout=0.25, rate=0.002)
+    velocity = NetworkOptions(hidden=(8,), steps=10, batch=64, dropout=0.0, rate=0.003)
+    recall = NetworkOptions(hidden=(9, 8, 7), steps=15, batch=16, dropout=0.5, rate=0.001)
+    recipe = NetworkRecipe(pose=pose, velocity=velocity, recall=recall)
+    monkeypatch.setitem(RECIPES, "best", recipe)
     out, folder = tmp_path / "m.onnx", tmp_path / "page"
     argv = [str(small_dir), "--estimator", "best", "--alone", "--no-folds", "--out", str(out)]
     argv += ["--principal", "LWRB,RWRB,LANK,RANK", "--report", str(folder)]
@@ -160,17 +163,17 @@ def test_of_networks_without_c7(small_dir, tmp_path, monkeypatch, takes):
     assert "41 markers in the body frame" in page.text
     for left in ("Clusters", "Forest"):
         assert left not in page.text
-    told = dict(rows(folder, "networks"))
+    told = dict(rows(folder, "examples"))
     assert told["tracked markers"] == "LWRB, RWRB, LANK, RANK, LSHO, RSHO"
-    assert told["units of the hidden layers"] == "24, 16"
-    for name, value in (
-        ("networks whose mean is taken", 2),
-        ("units left out in training (%)", 25),
-        ("steps of training", 20),
-        ("examples in each", 32),
-        ("highest learning rate", 0.002),
+    told = {what: cells for what, *cells in rows(folder, "networks")}
+    assert told["units of the hidden layers"] == ["24, 16", "8", "9, 8, 7"]
+    for name, values in (
+        ("units left out in training (%)", [25, 0, 50]),
+        ("steps of training", [20, 10, 15]),
+        ("examples in each", [32, 64, 16]),
+        ("highest learning rate", [0.002, 0.003, 0.001]),
     ):
-        assert float(told[name]) == value
+        assert [float(cell) for cell in told[name]] == values
     found = [float(share) for _, share in rows(folder, "variance")]
     expected = covered(np.concatenate([moving(take, SIX_FRAME) for take in takes]))
     np.testing.assert_allclose(found, expected[: len(found)], atol=1e-6)

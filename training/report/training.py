@@ -443,27 +443,43 @@ def _step_ms(info: ModelInfo) -> float:
 
 def _networks(report: Report, corpus: Corpus, info: ModelInfo) -> None:
     recipe = info.training["recipe"]
-    network, examples = recipe["network"], recipe["examples"]
+    networks = [recipe[name] for name in ("pose", "velocity", "recall")]
+    examples = recipe["examples"]
     report.section(
         "Networks",
-        "Two networks, each on top of a linear map: one for frames that have all tracked markers, "
-        "one that is told which are missing. From the tracked markers they estimate all "
-        f"{len(info.labels)} markers, and how far off each may be. The examples that they learn "
-        "from are made anew in every step: poses of the captures and their mirror images, of "
-        "bodies somewhat larger or smaller, measured with noise.",
+        "Three networks, each on top of a linear map. From the tracked markers the first estimates "
+        f"where all {len(info.labels)} markers are, and how far off each may be; the second, how "
+        "they move; the third says where tracked markers are that are missing, from the others and "
+        "from the last frame that had them. The examples that they learn from are made anew in "
+        "every step: poses of the captures and their mirror images, of bodies somewhat larger or "
+        "smaller, measured with noise.",
     )
     report.table(
         "networks",
         "What they are and how they are trained.",
+        ("", "pose", "velocity", "missing markers"),
+        (
+            (
+                "units of the hidden layers",
+                *(", ".join(map(str, network["hidden"])) for network in networks),
+            ),
+            *(
+                (text, *(factor * network[key] for network in networks))
+                for text, key, factor in (
+                    ("units left out in training (%)", "dropout", 100),
+                    ("steps of training", "steps", 1),
+                    ("examples in each", "batch", 1),
+                    ("highest learning rate", "rate", 1),
+                )
+            ),
+        ),
+    )
+    report.table(
+        "examples",
+        "What they learn from.",
         ("", ""),
         (
             ("tracked markers", ", ".join(info.tracked)),
-            ("units of the hidden layers", ", ".join(map(str, network["hidden"]))),
-            ("networks whose mean is taken", recipe["members"]),
-            ("units left out in training (%)", 100 * network["dropout"]),
-            ("steps of training", network["steps"]),
-            ("examples in each", network["batch"]),
-            ("highest learning rate", network["rate"]),
             ("poses kept of the captures", len(corpus.poses)),
             ("noise of a coordinate, standard deviation (mm)", 1000 * examples["noise"]),
             ("size of the body, standard deviation (%)", 100 * examples["scale"]),
