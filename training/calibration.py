@@ -11,7 +11,7 @@ leaves, is added to the estimate.
 from __future__ import annotations
 
 import tempfile
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ import numpy.typing as npt
 import onnx
 from onnx import numpy_helper
 
+from bridge.body_frame import CONSTRUCTIONS
 from bridge.estimator import body_frame
 from bridge.model import METADATA_KEY, Model
 from bridge.regression import features_of, regression_of
@@ -29,9 +30,10 @@ from training.dataset import DatasetError
 from training.local_models import Array, NormalEquations, affine, ridge
 from training.network import Network
 from training.networks import POSE
+from training.poses import moving_poses
 
 # Chosen on people left out (docs/decisions/0012).
-SHARE = 0.003  # of the power of the hidden units and of the constant: what holds them back
+SHARE = 0.01  # of the power of the hidden units and of the constant: what holds them back
 NOISE = 0.1  # m: what holds the map of a mixture back
 MAX_FRAMES = 600  # that networks are adapted to: of more, some are taken evenly
 MIN_SECONDS = 0.25  # of frames with all markers
@@ -57,7 +59,7 @@ def calibrated(model: Model, xyz: Floats, rate: float) -> bytes:
     Frames that lack a marker are left out. Raises DatasetError where those that have all are
     fewer than MIN_SECONDS of `rate`, Hz.
     """
-    complete = np.asarray(~np.isnan(xyz).any(axis=(1, 2)))
+    complete = _complete(xyz)
     if complete.sum() < MIN_SECONDS * rate:
         raise DatasetError(
             f"calibration needs {MIN_SECONDS:g} s with all 41 markers, "
@@ -68,7 +70,7 @@ def calibrated(model: Model, xyz: Floats, rate: float) -> bytes:
     if model.leaves:
         changed = _mixture(model, constants, xyz, complete, rate)
     else:
-        changed = _networks(model, constants, xyz, complete, rate)
+        changed = _networks(model, constants, xyz, rate)
     for entry in file.graph.initializer:
         if entry.name in changed:
             values = changed[entry.name].astype(np.float32)
@@ -83,6 +85,11 @@ def calibrated(model: Model, xyz: Floats, rate: float) -> bytes:
             prop.value = info.to_json()
     content: bytes = file.SerializeToString(deterministic=True)
     return content
+
+
+def _complete(xyz: Floats) -> Mask:
+    """(N,): which frames have all markers."""
+    return np.asarray(~np.isnan(xyz).any(axis=(1, 2)))
 
 
 def _mixture(
@@ -118,48 +125,92 @@ def _mixture_errors(model: Model, xyz: Floats, complete: Mask, rate: float) -> t
     return np.array(inputs, np.float32), np.array(errors)
 
 
-def _networks(
-    model: Model, constants: Constants, xyz: Floats, complete: Mask, rate: float
-) -> Constants:
-    """The last layer of the pose's network, changed."""
-    units, off = _network_errors(model, constants, xyz, complete)
-    change = _correction(units, off)
-    weights, bias = constants["pose_last_weights"].copy(), constants["pose_last_bias"].copy()
-    weights[: units.shape[1] - 1, :POSE] += change[:-1]
-    bias[:POSE] += change[-1]
-    bias[POSE:] += np.log(_sigma_factor(model, units, off, complete.sum() / rate))
-    return {"pose_last_weights": weights, "pose_last_bias": bias}
+def _networks(model: Model, constants: Constants, xyz: Floats, rate: float) -> Constants:
+    """The last layers of the networks for the pose and for its velocities, changed."""
+    seen = _seen(model, xyz, rate)
+    units, off = _pose_errors(model, constants, seen)
+    changed = _changed(constants, "pose", _correction(units, off))
+    seconds = _complete(xyz).sum() / rate
+    changed["pose_last_bias"][POSE:] += np.log(_sigma_factor(model, units, off, seconds))
+    moving = _correction(*_velocity_errors(model, constants, seen))
+    return changed | _changed(constants, "velocity", moving)
 
 
-def _network_errors(
-    model: Model, constants: Constants, xyz: Floats, complete: Mask
-) -> tuple[Array, Array]:
-    """The last hidden units and a one (n, H + 1) in complete frames, at most MAX_FRAMES, and what
-    the network is off by (n, 123), metres.
+def _changed(constants: Constants, name: str, change: Array) -> Constants:
+    """A network's last layer with a change (H + 1, 123) of what the hidden units and the constant
+    add to its first outputs.
     """
+    weights, bias = (constants[f"{name}_last_{part}"].copy() for part in ("weights", "bias"))
+    weights[: len(change) - 1, :POSE] += change[:-1]
+    bias[:POSE] += change[-1]
+    return {f"{name}_last_weights": weights, f"{name}_last_bias": bias}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """Complete frames, in the body frame: the tracked markers (n, T, 3), metres, and their
+    velocities, m/s; all markers (n, 123), in the model's order, and theirs.
+    """
+
+    tracked: Floats
+    moving: Floats
+    poses: Floats
+    velocities: Floats
+
+
+def _seen(model: Model, xyz: Floats, rate: float) -> _Seen:
+    """Of the complete frames at most MAX_FRAMES, evenly."""
     info = model.info
+    construction = CONSTRUCTIONS[info.body_frame]
+    every = moving_poses(xyz, rate, construction)
+    some = np.linspace(0, len(every.poses) - 1, min(len(every.poses), MAX_FRAMES))
+    chosen = some.round().astype(int)
+    poses, velocities = every.poses[chosen], every.velocities[chosen]
+    origin = [MARKERS.index(label) for label in construction.origin]
+    velocities = velocities - velocities[:, origin].mean(axis=1, keepdims=True)
     tracked = [MARKERS.index(label) for label in info.tracked]
     order = [MARKERS.index(label) for label in info.labels]
-    chosen = np.flatnonzero(complete)
-    some = np.linspace(0, len(chosen) - 1, min(len(chosen), MAX_FRAMES)).round().astype(int)
-    taken = set(chosen[some].tolist())
-    body = body_frame(info)
-    shown, errors = [], []
-    for index, truth in enumerate(xyz):
-        body.update(truth[tracked])
-        if index in taken:
-            seen = body.to_body(truth)
-            pose, *_ = model.estimate(seen[tracked], np.zeros_like(seen[tracked]))
-            shown.append(seen[tracked].ravel())
-            errors.append((seen[order].astype(float) - pose).ravel())
+    return _Seen(
+        poses[:, tracked],
+        velocities[:, tracked],
+        poses[:, order].reshape(len(poses), -1),
+        velocities[:, order].reshape(len(poses), -1),
+    )
+
+
+def _pose_errors(model: Model, constants: Constants, seen: _Seen) -> tuple[Array, Array]:
+    """The last hidden units and a one (n, H + 1), and what the pose is off by (n, 123), metres."""
+    still = np.zeros_like(seen.moving[0])
+    told = np.array([model.estimate(tracked, still)[0] for tracked in seen.tracked])
+    units = _units(constants, "pose", _scaled(constants, seen))
+    return units, seen.poses.astype(float) - told.reshape(len(told), -1)
+
+
+def _velocity_errors(model: Model, constants: Constants, seen: _Seen) -> tuple[Array, Array]:
+    """The same of the velocities, in the body's speed; faster frames count more, as in training."""
+    frames = zip(seen.tracked, seen.moving, strict=True)
+    told = np.array([model.estimate(tracked, moving)[2] for tracked, moving in frames])
+    moving = seen.moving.reshape(len(told), -1)
+    speed = np.sqrt((moving**2).mean(axis=1, keepdims=True) + constants["slow"])
+    inputs = np.hstack([_scaled(constants, seen), moving / speed])
+    off = (seen.velocities.astype(float) - told.reshape(len(told), -1)) / speed
+    weight = np.sqrt(speed / speed.mean())
+    return _units(constants, "velocity", inputs) * weight, off * weight
+
+
+def _scaled(constants: Constants, seen: _Seen) -> Floats:
+    u: Floats = seen.tracked.reshape(len(seen.tracked), -1) - constants["mean"]
+    return u * constants["unit"]
+
+
+def _units(constants: Constants, name: str, inputs: Floats) -> Array:
+    """The last hidden units of a network, and a one (n, H + 1)."""
     layers: list[Floats] = []
-    while (at := f"pose_{len(layers) // 2}") + "_weights" in constants:
+    while (at := f"{name}_{len(layers) // 2}") + "_weights" in constants:
         layers += [constants[f"{at}_weights"], constants[f"{at}_bias"]]
-    last = [constants["pose_last_weights"], constants["pose_last_bias"]]
-    u = (np.array(shown) - constants["mean"]) * constants["unit"]
-    hidden = Network([*layers, *last]).hidden(u)
-    units = np.hstack([hidden, np.ones((len(u), 1))]).astype(float)
-    return units, np.array(errors)
+    last = [constants[f"{name}_last_weights"], constants[f"{name}_last_bias"]]
+    hidden = Network([*layers, *last]).hidden(inputs)
+    return np.hstack([hidden, np.ones((len(inputs), 1))]).astype(float)
 
 
 def _correction(units: Array, off: Array) -> Array:

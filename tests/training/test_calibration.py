@@ -25,7 +25,9 @@ from training.calibration import (
     SHARE,
     _correction,
     _mixture_errors,
-    _network_errors,
+    _pose_errors,
+    _seen,
+    _velocity_errors,
     adapted,
     calibrated,
 )
@@ -121,32 +123,44 @@ def test_the_correction_is_the_ridge_of_what_the_network_is_off_by() -> None:
         np.testing.assert_allclose(_correction(units, off), wanted, atol=1e-9)
 
 
-def test_the_correction_is_what_the_file_says_more(networks, mine, walk) -> None:
+def test_the_corrections_are_what_the_file_says_more(networks, mine, walk) -> None:
     """By a forward run of both files, also on frames that it was not adapted to."""
-    complete = ~np.isnan(walk).any(axis=(1, 2))
-    units, off = _network_errors(networks, _constants(networks), walk[:130], complete[:130])
-    correction = _correction(units, off)
-    everywhere, _ = _network_errors(networks, _constants(networks), walk, complete)
-    shown = _shown(networks, walk[complete])
-    assert len(shown) == len(everywhere) > len(units)
-    still = np.zeros_like(shown[0])
-    for unit, tracked in zip(everywhere, shown, strict=True):
-        before, after = (one.estimate(tracked, still)[0] for one in (networks, mine))
-        np.testing.assert_allclose((after - before).ravel(), unit @ correction, atol=1e-4)
+    constants = _constants(networks)
+    few, every = _seen(networks, walk[:130], 120.0), _seen(networks, walk, 120.0)
+    pose = _correction(*_pose_errors(networks, constants, few))
+    moving = _correction(*_velocity_errors(networks, constants, few))
+    units, _ = _pose_errors(networks, constants, every)
+    weighted, _ = _velocity_errors(networks, constants, every)
+    moving_units = weighted / weighted[:, -1:]  # the last is the constant
+    assert len(every.tracked) > len(few.tracked)
+    for row, (tracked, velocity) in enumerate(zip(every.tracked, every.moving, strict=True)):
+        before, after = (one.estimate(tracked, velocity) for one in (networks, mine))
+        np.testing.assert_allclose((after[0] - before[0]).ravel(), units[row] @ pose, atol=1e-4)
+        speed = np.sqrt((velocity**2).mean() + constants["slow"])
+        changed = (after[2] - before[2]).ravel() / speed
+        np.testing.assert_allclose(changed, moving_units[row] @ moving, atol=1e-3)
+
+
+def test_errors_of_velocity_are_told_in_the_bodys_speed(networks, walk) -> None:
+    """What is fitted is the truth less what the file says, for each frame as much as its speed."""
+    constants, seen = _constants(networks), _seen(networks, walk, 120.0)
+    units, off = _velocity_errors(networks, constants, seen)
+    row = 40
+    said = networks.estimate(seen.tracked[row], seen.moving[row])[2].ravel()
+    speeds = np.sqrt((seen.moving**2).mean(axis=(1, 2)) + constants["slow"])
+    wanted = (seen.velocities[row] - said) / speeds[row] * units[row, -1]
+    np.testing.assert_allclose(off[row], wanted, atol=1e-4)
+    np.testing.assert_allclose(units[:, -1] ** 2, speeds / speeds.mean(), rtol=1e-4)
 
 
 def test_of_a_long_recording_frames_are_taken_evenly(networks, walk) -> None:
-    """As many as are enough, the same as are fitted of those frames alone."""
-    complete = ~np.isnan(walk).any(axis=(1, 2))
-    long = np.concatenate([walk[complete]] * 4)
+    complete = walk[~np.isnan(walk).any(axis=(1, 2))]
+    long = np.concatenate([complete] * 4)
     assert len(long) > MAX_FRAMES
-    units, off = _network_errors(networks, _constants(networks), long, np.ones(len(long), bool))
-    assert len(units) == len(off) == MAX_FRAMES
+    seen = _seen(networks, long, 120.0)
     chosen = np.linspace(0, len(long) - 1, MAX_FRAMES).round().astype(int)
-    every, _ = _network_errors(
-        networks, _constants(networks), walk[complete], np.ones(complete.sum(), bool)
-    )
-    np.testing.assert_allclose(units, every[chosen % complete.sum()], atol=1e-4)
+    every = _shown(networks, complete)
+    np.testing.assert_allclose(seen.tracked, every[chosen % len(complete)], atol=1e-5)
 
 
 def test_the_estimate_comes_nearer_on_the_rest_of_the_walk(mixture, networks, mine, walk) -> None:
@@ -159,19 +173,22 @@ def test_the_estimate_comes_nearer_on_the_rest_of_the_walk(mixture, networks, mi
         assert after.info.training["calibrated_seconds"] > 0.8
 
 
-def test_only_the_last_layer_of_the_pose_changes_and_sigma_shrinks(networks, mine, walk) -> None:
+def test_only_last_layers_change_and_sigma_shrinks(networks, mine, walk) -> None:
     before, after = _constants(networks), _constants(mine)
     assert before.keys() == after.keys()
     changed = {name for name in before if not np.array_equal(before[name], after[name])}
-    assert changed == {"pose_last_weights", "pose_last_bias"}
+    assert changed == {
+        f"{name}_last_{part}" for name in ("pose", "velocity") for part in ("weights", "bias")
+    }
     # Of the weights, those of the hidden units: what the markers say by themselves stays.
-    weights = [one["pose_last_weights"][-len(one["mean"]) :] for one in (before, after)]
-    np.testing.assert_array_equal(*weights)
+    width = len(before["mean"])
+    for name, inputs in (("pose", width), ("velocity", 2 * width)):
+        weights = [one[f"{name}_last_weights"][-inputs:] for one in (before, after)]
+        np.testing.assert_array_equal(*weights)
     tracked, other = _shown(networks, walk)[[5, 50]]
-    (_, sigma, moves), (_, less, same) = (
+    (_, sigma, _), (_, less, _) = (
         one.estimate(tracked, tracked - other) for one in (networks, mine)
     )
-    np.testing.assert_array_equal(moves, same)
     shrinks = less / sigma
     np.testing.assert_allclose(shrinks, shrinks[0], rtol=1e-4)
     assert 0.5 < shrinks[0] < 0.99  # a second of walking does not tell everything
