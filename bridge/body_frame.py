@@ -86,6 +86,7 @@ class BodyFrame:
         self.origin = np.zeros(3)
         self.yaw = 0.0
         self.rotation = np.eye(3)  # columns: the body's axes in the world
+        self._to_world = np.eye(3, dtype=np.float32)  # a row vector times this is in the world's
         self.sigma = 0.0  # m, standard deviation of the origin per coordinate; 0 where exact
         self._configuration = self._mean.copy()
 
@@ -99,14 +100,14 @@ class BodyFrame:
         the body is now: for what might have been seen. May be called many times.
         """
         points = xyz.astype(float)
-        present = ~np.isnan(points[:, 0])
-        if not present.any():
-            self.sigma = math.inf
-            return
-        origin = self._middle(points)
-        yaw = self._shoulder_yaw(points)
-        if yaw is None:
-            yaw = self._fitted_yaw(points, present, origin)
+        origin, yaw = self._middle(points), self._shoulder_yaw(points)
+        if origin is None or yaw is None:
+            present = ~np.isnan(points[:, 0])
+            if not present.any():
+                self.sigma = math.inf
+                return
+            if yaw is None:
+                yaw = self._fitted_yaw(points, present, origin)
         if yaw != self.yaw or not self.known:
             self._turn(yaw)
         if origin is not None:
@@ -136,10 +137,11 @@ class BodyFrame:
         self.yaw = yaw
         cos, sin = math.cos(yaw), math.sin(yaw)
         self.rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        self._to_world = self.rotation.T.astype(np.float32)
 
     def _shoulder_yaw(self, points: Array) -> float | None:
         """The yaw of the shoulder line; None where a shoulder is missing or the line too steep."""
-        dx, dy, dz = points[self._right] - points[self._left]
+        dx, dy, dz = (points[self._right] - points[self._left]).tolist()
         across = math.hypot(dx, dy)
         # A NaN compares false.
         if across > 0.0 and across >= MIN_PROJECTION * math.hypot(across, dz):
@@ -178,6 +180,6 @@ class BodyFrame:
         """World to body frame, (..., 3) metres."""
         return ((xyz - self.origin) @ self.rotation).astype(np.float32)
 
-    def to_world(self, xyz: npt.NDArray[np.floating]) -> Floats:
+    def to_world(self, xyz: Floats) -> Floats:
         """Body frame to world, (..., 3) metres."""
-        return (xyz @ self.rotation.T + self.origin).astype(np.float32)
+        return (xyz @ self._to_world + self.origin).astype(np.float32)

@@ -186,13 +186,15 @@ class PoseEstimator:
         pose, sigma, moving = self.regression.estimate(
             body.to_body(tracked), velocity.astype(np.float32)
         )
-        world: Floats = body.to_world(pose)
         if moving is not None and self._pose is not self._nowhere:
             # On from the pose before, as the body moves, and a little towards where it is said to
             # be: how it moves is known better than where it is.
-            gone_on = self._pose + (moving @ body.rotation.T * interval + carried)
-            away = (world - gone_on) * math.exp(-interval / STEADY)
-            world = (world - away).astype(np.float32)
+            keeps = np.float32(math.exp(-interval / STEADY))
+            way = moving * np.float32(interval) - pose
+            kept = self._pose + (carried - body.origin).astype(np.float32)
+            world: Floats = body.to_world(pose + keeps * way) + keeps * kept
+        else:
+            world = body.to_world(pose)
         world[self._rows] = tracked
         sigma[self._rows] = NOISE
         return world, sigma

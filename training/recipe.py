@@ -56,9 +56,9 @@ class NetworkRecipe(Recipe):
     pose, velocity, recall: each network's, see `training.networks`.
     """
 
-    pose: NetworkOptions = field(default_factory=NetworkOptions)
+    pose: NetworkOptions = field(default_factory=lambda: NetworkOptions(hidden=(320, 320, 320)))
     velocity: NetworkOptions = field(
-        default_factory=lambda: NetworkOptions(hidden=(256, 256, 256), steps=3000)
+        default_factory=lambda: NetworkOptions(hidden=(160, 160, 160), steps=3000)
     )
     recall: NetworkOptions = field(default_factory=NetworkOptions)
     examples: ExampleOptions = field(default_factory=ExampleOptions)
