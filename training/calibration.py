@@ -59,7 +59,7 @@ def calibrated(model: Model, xyz: Floats, rate: float) -> bytes:
     Frames that lack a marker are left out. Raises DatasetError where those that have all are
     fewer than MIN_SECONDS of `rate`, Hz.
     """
-    complete = _complete(xyz)
+    complete = np.asarray(~np.isnan(xyz).any(axis=(1, 2)))
     if complete.sum() < MIN_SECONDS * rate:
         raise DatasetError(
             f"calibration needs {MIN_SECONDS:g} s with all 41 markers, "
@@ -70,7 +70,7 @@ def calibrated(model: Model, xyz: Floats, rate: float) -> bytes:
     if model.leaves:
         changed = _mixture(model, constants, xyz, complete, rate)
     else:
-        changed = _networks(model, constants, xyz, rate)
+        changed = _networks(model, constants, _seen(model, xyz, rate), complete.sum() / rate)
     for entry in file.graph.initializer:
         if entry.name in changed:
             values = changed[entry.name].astype(np.float32)
@@ -85,11 +85,6 @@ def calibrated(model: Model, xyz: Floats, rate: float) -> bytes:
             prop.value = info.to_json()
     content: bytes = file.SerializeToString(deterministic=True)
     return content
-
-
-def _complete(xyz: Floats) -> Mask:
-    """(N,): which frames have all markers."""
-    return np.asarray(~np.isnan(xyz).any(axis=(1, 2)))
 
 
 def _mixture(
@@ -125,12 +120,12 @@ def _mixture_errors(model: Model, xyz: Floats, complete: Mask, rate: float) -> t
     return np.array(inputs, np.float32), np.array(errors)
 
 
-def _networks(model: Model, constants: Constants, xyz: Floats, rate: float) -> Constants:
-    """The last layers of the networks for the pose and for its velocities, changed."""
-    seen = _seen(model, xyz, rate)
+def _networks(model: Model, constants: Constants, seen: _Seen, seconds: float) -> Constants:
+    """The last layers of the networks for the pose and for its velocities, changed. seconds: of
+    all complete frames.
+    """
     units, off = _pose_errors(model, constants, seen)
     changed = _changed(constants, "pose", _correction(units, off))
-    seconds = _complete(xyz).sum() / rate
     changed["pose_last_bias"][POSE:] += np.log(_sigma_factor(model, units, off, seconds))
     moving = _correction(*_velocity_errors(model, constants, seen))
     return changed | _changed(constants, "velocity", moving)

@@ -15,6 +15,7 @@ from drivers.marker_set import MARKERS
 from training.corpus import Corpus
 from training.examples import Examples, Poses
 from training.fitting import Fitted
+from training.local_models import affine
 from training.moments import columns_of, matrix, mean_and_covariance, mirrored_moments
 from training.network import Adam, Gradient, Network, NetworkOptions
 from training.networks import (
@@ -25,7 +26,6 @@ from training.networks import (
     PoseNetwork,
     RecallNetwork,
     VelocityNetwork,
-    affine,
     faded,
     share,
 )
@@ -126,14 +126,14 @@ def _fit_pose(
     equations = _LeastSquares()
     for _ in range(_PRIOR_BATCHES):
         batch = examples.whole(count)
-        equations.add(_with_one(empty.inputs(batch.tracked)), batch.poses.reshape(count, -1))
+        equations.add(affine(empty.inputs(batch.tracked)), batch.poses.reshape(count, -1))
     found = PoseNetwork(empty.mean, equations.solution(), network)
     wanted = np.array([label not in tracked for label in MARKERS], np.float32)[None]
 
     def following() -> tuple[Floats, Gradient]:
         batch = examples.whole(count)
         u = found.inputs(batch.tracked)
-        target = batch.poses.reshape(count, -1) - affine(u, found.prior)
+        target = batch.poses.reshape(count, -1) - found.linear(u)
         return u, _Loss(target, np.broadcast_to(wanted, (count, len(MARKERS))))
 
     _train(network, following, recipe.pose, random)
@@ -237,10 +237,6 @@ def _train(
     for _ in range(options.steps):
         inputs, gradient = following()
         optimiser.step(network.gradients(inputs, gradient, options.dropout, random))
-
-
-def _with_one(inputs: Floats) -> Floats:
-    return np.concatenate([inputs, np.ones((len(inputs), 1), np.float32)], axis=1)
 
 
 class _LeastSquares:

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from drivers.frame import Floats
 from drivers.marker_set import MARKERS
+from training.local_models import affine
 from training.network import Network
 
 UNIT = 0.25  # m: positions are told in it
@@ -43,14 +44,18 @@ class PoseNetwork:
 
     def inputs(self, tracked: Floats) -> Floats:
         """u (n, 3T) of tracked markers (n, T, 3)."""
-        found: Floats = (tracked.reshape(len(tracked), -1) - self.mean) / np.float32(UNIT)
+        return _scaled(tracked, self.mean)
+
+    def linear(self, u: Floats) -> Floats:
+        """(n, 123) metres: what the prior says."""
+        found: Floats = u @ self.prior[:-1] + self.prior[-1]
         return found
 
     def estimate(self, tracked: Floats) -> tuple[Floats, Floats]:
         """Poses (n, 41, 3) and sigma (n, 41), metres."""
         u = self.inputs(tracked)
         outputs = self.network.outputs(u)
-        pose = affine(u, self.prior) + np.float32(STEP) * outputs[:, :POSE]
+        pose = self.linear(u) + np.float32(STEP) * outputs[:, :POSE]
         return pose.reshape(len(u), -1, 3), np.exp(outputs[:, POSE:])
 
     def last_layer(self) -> tuple[Floats, Floats]:
@@ -80,10 +85,9 @@ class VelocityNetwork:
 
     def inputs(self, tracked: Floats, velocity: Floats) -> tuple[Floats, Floats]:
         """(n, 6T) of tracked markers (n, T, 3) and their velocities (n, T, 3); speed (n, 1)."""
-        u = (tracked.reshape(len(tracked), -1) - self.mean) / np.float32(UNIT)
         flat = velocity.reshape(len(velocity), -1)
         speed = np.sqrt((flat**2).mean(axis=1, keepdims=True) + np.float32(SLOW**2))
-        return np.concatenate([u, flat / speed], axis=1), speed
+        return np.concatenate([_scaled(tracked, self.mean), flat / speed], axis=1), speed
 
     def last_layer(self) -> tuple[Floats, Floats]:
         """Weights (H + 6T, 123) and bias (123,), from the last hidden units and the inputs."""
@@ -197,16 +201,10 @@ class Networks:
         )
 
 
-def affine(inputs: Floats, prior: Floats) -> Floats:
-    """(n, O) of inputs (n, D), by a map (D + 1, O) with its constant."""
-    found: Floats = inputs @ prior[:-1] + prior[-1]
-    return found
-
-
 def faded(inputs: Floats, age: Floats) -> Floats:
     """(n, 3 (D + 1)): inputs (n, D) and a one, as they come in with each of FADES."""
-    whole = np.concatenate([inputs, np.ones((len(inputs), 1), np.float32)], axis=1)
-    parts = [whole * fade_in(age, fade) for fade in FADES]
+    rows = affine(inputs)
+    parts = [rows * fade_in(age, fade) for fade in FADES]
     return np.concatenate(parts, axis=1)
 
 
@@ -222,6 +220,12 @@ def fade_in(age: Floats, fade: float) -> Floats:
 def share(age: Floats) -> Floats:
     """(n, 1): how much of the network's own output counts at an age (n,), s."""
     return fade_in(age, FADES[FADE])
+
+
+def _scaled(tracked: Floats, mean: Floats) -> Floats:
+    """Positions (n, 3T) of tracked markers (n, T, 3), less their mean (3T,), in UNIT."""
+    found: Floats = (tracked.reshape(len(tracked), -1) - mean) / np.float32(UNIT)
+    return found
 
 
 def _bounded(way: Floats) -> Floats:

@@ -14,7 +14,7 @@ from training.dataset import training_captures
 from training.examples import ExampleOptions, Examples
 from training.network import NetworkOptions
 from training.network_fitting import _Loss, _poses, fit_network
-from training.networks import STEP, affine
+from training.networks import STEP
 
 COUNT = 4000
 # Less noise than it should be for people left out: there is more to learn.
@@ -53,7 +53,7 @@ def test_the_pose_is_nearer_than_by_its_linear_prior(fitted, examples):
     network = fitted.graph.pose
     unworn = [MARKERS.index(label) for label in fitted.info.unworn]
     batch = examples.whole(COUNT)
-    prior = affine(network.inputs(batch.tracked), network.prior).reshape(batch.poses.shape)
+    prior = network.linear(network.inputs(batch.tracked)).reshape(batch.poses.shape)
     by_prior = rms((prior - batch.poses)[:, unworn])
     found, sigma = network.estimate(batch.tracked)
     off = (found - batch.poses)[:, unworn]
@@ -151,7 +151,7 @@ def test_the_model_file_says_how_the_prior_follows_its_markers(fitted, examples)
         moved = batch.tracked.copy()
         moved[:, info.tracked.index(label)] += [0.01, -0.02, 0.03]
         here, there = (
-            affine(network.inputs(one), network.prior).reshape(20, -1, 3)[:, unworn]
+            network.linear(network.inputs(one)).reshape(20, -1, 3)[:, unworn]
             for one in (batch.tracked, moved)
         )
         expected = maps[:, 3 * number : 3 * number + 3] @ [0.01, -0.02, 0.03]
