@@ -22,6 +22,7 @@ from bridge.session import Session
 from bridge.sinks.sink import SinkError
 from bridge.view.process import has_display
 from bridge.view.snapshot import check_picture, snapshot
+from drivers.clock import SYSTEM_CLOCK
 from drivers.errors import MarkerbridgeError
 from drivers.options import checked, positive
 from drivers.osc_udp import UdpTransport
@@ -131,7 +132,7 @@ def _view(wish: bool | None, console: Console) -> list[str]:
 
 
 def _free_port() -> int:
-    with contextlib.closing(UdpTransport("127.0.0.1", 0)) as transport:
+    with contextlib.closing(UdpTransport("127.0.0.1", 0, SYSTEM_CLOCK)) as transport:
         return transport.port
 
 

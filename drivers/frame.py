@@ -5,6 +5,7 @@ Positions are metres, right-handed, Z up, float32; a missing marker is a NaN row
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator
@@ -54,9 +55,10 @@ class Layout:
 class MarkerFrame:
     """One sample of all markers of a stream.
 
-    index: the device's own frame number. t: seconds on the host's monotonic clock at receipt.
-    t_device: seconds on the device's clock. xyz: (M, 3) float32 metres, in the order of
-    layout.labels, NaN rows where a marker is missing.
+    index: the device's own frame number; where its wire has none, counted by us. t: seconds on the
+    host's monotonic clock at receipt. t_device: seconds on the device's clock; NaN where it sends
+    none. xyz: (M, 3) float32 metres, in the order of layout.labels, NaN rows where a marker is
+    missing. t_mapped: t_device on the host's clock, as near as can be told; `t` without a stamp.
     """
 
     index: int
@@ -64,6 +66,7 @@ class MarkerFrame:
     t_device: float
     layout: Layout
     xyz: Floats
+    t_mapped: float = math.nan
 
 
 class Source(ABC):

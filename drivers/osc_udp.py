@@ -8,12 +8,11 @@ import socket
 
 from drivers.clock import Clock
 from drivers.frame import Source, SourceError
-from drivers.transport import TransportLost
-from drivers.url import Url, UrlError
-from drivers.wire.osc_native import NativeOscDecoder
-from drivers.wire_source import WireSource
+from drivers.transport import Received, TransportLost
+from drivers.url import Url
+from drivers.wire.registry import take_decoder
+from drivers.wire_source import WireSource, reorder_of
 
-DIALECTS = {"native": NativeOscDecoder}
 RECEIVE_BUFFER = 4 << 20  # bytes: a second of any stream, should the reader be held up
 
 log = logging.getLogger(__name__)
@@ -22,7 +21,8 @@ log = logging.getLogger(__name__)
 class UdpTransport:
     """A bound UDP socket; each `receive` is one datagram. Port 0 lets the system choose `port`."""
 
-    def __init__(self, host: str, port: int) -> None:
+    def __init__(self, host: str, port: int, clock: Clock) -> None:
+        self._clock = clock
         try:
             family, kind, protocol, _, address = socket.getaddrinfo(
                 host, port, type=socket.SOCK_DGRAM, flags=socket.AI_PASSIVE
@@ -47,12 +47,15 @@ class UdpTransport:
                 *(host, self.port, granted >> 10, RECEIVE_BUFFER >> 10, RECEIVE_BUFFER),
             )
 
-    def receive(self, timeout: float) -> bytes:
+    def receive(self, timeout: float) -> Received | None:
         try:
             ready, _, _ = select.select([self._socket], [], [], timeout)
-            return self._socket.recv(65_536) if ready else b""
+            if not ready:
+                return None
+            data, (host, port, *_) = self._socket.recvfrom(65_536)
         except (OSError, ValueError) as error:
             raise TransportLost(str(error)) from error
+        return Received(data, self._clock.now(), f"{host}:{port}")
 
     def send(self, data: bytes) -> None:
         """Nothing: OSC senders do not listen."""
@@ -68,19 +71,16 @@ class OscSource(WireSource):
 
     def __init__(self, url: Url, clock: Clock) -> None:
         host, port = url.address()
-        dialect = url.take("dialect", "native", str)
+        decoder, convention = take_decoder(url)
+        reorder = reorder_of(url)
         url.finish()
-        if dialect not in DIALECTS:
-            raise UrlError(
-                f"'{url.text}': unknown dialect {dialect} (known: {', '.join(DIALECTS)})"
-            )
 
         def connect() -> UdpTransport:
-            transport = UdpTransport(host, port)
+            transport = UdpTransport(host, port, clock)
             self.port = transport.port
             return transport
 
-        super().__init__(url.text, connect, DIALECTS[dialect](), clock)
+        super().__init__(url.text, connect, decoder, clock, convention=convention, reorder=reorder)
 
 
 def open_osc(url: Url, clock: Clock) -> Source:

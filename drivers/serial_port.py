@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import select
 import termios
 
 import serial
+from serial.tools import list_ports
 
 from drivers.clock import Clock
 from drivers.frame import Source, SourceError
-from drivers.transport import TransportLost
-from drivers.url import Url, UrlError
-from drivers.wire.cobs import CobsDecoder
-from drivers.wire_source import WireSource
-
-CODECS = {"cobs": CobsDecoder}
+from drivers.transport import Received, TransportLost
+from drivers.url import Url
+from drivers.wire.registry import take_decoder
+from drivers.wire_source import WireSource, reorder_of
 
 
 class SerialTransport:
@@ -25,26 +25,30 @@ class SerialTransport:
     number of waiting bytes each time.
     """
 
-    def __init__(self, path: str, baud: int) -> None:
+    def __init__(self, path: str, baud: int, clock: Clock) -> None:
+        """Raises SourceError where the port cannot be opened."""
+        self._clock = clock
         try:
             self._port = serial.Serial(path, baud, timeout=0, write_timeout=1.0, exclusive=True)
+            self._keep_dtr()
         except (serial.SerialException, OSError, ValueError, termios.error) as error:
             raise SourceError(
                 f"cannot open serial port {path}: {error}; is the device plugged in (or "
                 f"`markerbridge simulate ... --to serial:{path}` running), and may you read it?"
             ) from error
+        self.low_latency = self._lower_latency()
 
-    def receive(self, timeout: float) -> bytes:
+    def receive(self, timeout: float) -> Received | None:
         try:
             ready, _, _ = select.select([self._port.fileno()], [], [], timeout)
             if not ready:
-                return b""
+                return None
             data = os.read(self._port.fileno(), 65_536)
         except (OSError, ValueError, serial.SerialException) as error:
             raise TransportLost(str(error)) from error
         if not data:  # ready without data: the device is gone
             raise TransportLost("end of file")
-        return data
+        return Received(data, self._clock.now())
 
     def send(self, data: bytes) -> None:
         try:
@@ -53,15 +57,71 @@ class SerialTransport:
             raise TransportLost(str(error)) from error
 
     def close(self) -> None:
-        self._port.close()
+        with contextlib.suppress(OSError, termios.error):  # a port that is gone closes badly
+            self._port.close()
+
+    def _keep_dtr(self) -> None:
+        """Leaves the line up when the port is closed: many boards reset when it goes down, and
+        would start anew each time a silent port is opened again.
+        """
+        attributes = termios.tcgetattr(self._port.fileno())
+        attributes[2] &= ~termios.HUPCL
+        termios.tcsetattr(self._port.fileno(), termios.TCSANOW, attributes)
+
+    def _lower_latency(self) -> bool:
+        """Whether the driver was told to pass bytes on at once (USB adapters wait up to 16 ms)."""
+        try:
+            self._port.set_low_latency_mode(True)
+        except (OSError, ValueError, NotImplementedError, AttributeError):
+            return False  # a pty, or a driver that knows no such mode
+        return True
+
+
+class SerialPort:
+    """A port by its path, and by its USB serial number where it has one: a device that comes back
+    under another name is found again, and another one under its name is not taken for it.
+    """
+
+    def __init__(self, path: str, baud: int, clock: Clock) -> None:
+        self._path, self._baud, self._clock = path, baud, clock
+        self._serial_number: str | None = None
+        self._opened = False
+
+    def __call__(self) -> SerialTransport:
+        """Opens it. Raises SourceError where it is not there."""
+        if not self._opened:
+            transport = SerialTransport(self._path, self._baud, self._clock)
+            self._opened, self._serial_number = True, self._number_at(self._path)
+            return transport
+        return SerialTransport(self._find(), self._baud, self._clock)
+
+    def _find(self) -> str:
+        if self._serial_number is None or self._number_at(self._path) == self._serial_number:
+            return self._path
+        for port in list_ports.comports():
+            if port.serial_number == self._serial_number:
+                return str(port.device)
+        raise SourceError(f"no serial port with the USB serial number {self._serial_number}")
+
+    @staticmethod
+    def _number_at(path: str) -> str | None:
+        real = os.path.realpath(path)  # /dev/serial/by-id holds links
+        return next((p.serial_number for p in list_ports.comports() if p.device == real), None)
 
 
 def open_serial(url: Url, clock: Clock) -> Source:
     """The source at a serial address. Raises UrlError or SourceError."""
     path = url.file_path()
     baud = url.take("baud", 921_600, int)
-    codec = url.take("codec", "cobs", str)
+    decoder, convention = take_decoder(url)
+    reorder = reorder_of(url)
     url.finish()
-    if codec not in CODECS:
-        raise UrlError(f"'{url.text}': unknown codec {codec} (known: {', '.join(CODECS)})")
-    return WireSource(url.text, lambda: SerialTransport(path, baud), CODECS[codec](), clock)
+    return WireSource(
+        url.text,
+        SerialPort(path, baud, clock),
+        decoder,
+        clock,
+        convention=convention,
+        reorder=reorder,
+        reopens=True,
+    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from drivers.clock import VirtualClock
 
@@ -12,11 +12,20 @@ class TransportLost(OSError):
     """The other side is gone: an unplugged device, a closed port."""
 
 
-class Transport(Protocol):
-    """A two-way line. `receive` raises TransportLost when the line is gone."""
+class Received(NamedTuple):
+    """Bytes as they came. t: seconds on the host's clock. sender: `127.0.0.1:40312`, or nothing
+    where a line has but one other end."""
 
-    def receive(self, timeout: float) -> bytes:
-        """The bytes that are there, or b"" when `timeout` seconds pass without any."""
+    data: bytes
+    t: float
+    sender: str = ""
+
+
+class Transport(Protocol):
+    """A two-way line. `receive` and `send` raise TransportLost when the line is gone."""
+
+    def receive(self, timeout: float) -> Received | None:
+        """The bytes that are there, or None when `timeout` seconds pass without any."""
         ...
 
     def send(self, data: bytes) -> None: ...
@@ -33,22 +42,22 @@ class MemoryTransport:
 
     def __init__(self, clock: VirtualClock) -> None:
         self._clock = clock
-        self._inbox: deque[bytes] = deque()
+        self._inbox: deque[Received] = deque()
         self._peer: MemoryTransport | None = None
 
-    def receive(self, timeout: float) -> bytes:
+    def receive(self, timeout: float) -> Received | None:
         deadline = self._clock.now() + timeout
         while not self._inbox:
             if self._peer is None:
                 raise TransportLost("the other end is closed")
             if not self._clock.advance(deadline) and not self._inbox:
-                return b""
+                return None
         return self._inbox.popleft()
 
     def send(self, data: bytes) -> None:
         if self._peer is None:
             raise TransportLost("the other end is closed")
-        self._peer._inbox.append(data)
+        self._peer._inbox.append(Received(data, self._clock.now()))
 
     def close(self) -> None:
         if self._peer is not None:

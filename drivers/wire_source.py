@@ -2,58 +2,173 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterable
+from typing import Protocol
+
+import numpy as np
 
 from drivers.clock import Clock
-from drivers.frame import MarkerFrame, Source, SourceError
-from drivers.transport import Transport, TransportLost
+from drivers.clock_map import ClockMap
+from drivers.convention import Convention
+from drivers.frame import Layout, MarkerFrame, Source, SourceError, in_range
+from drivers.sequence import Sequence
+from drivers.transport import Received, Transport, TransportLost
+from drivers.url import Url
 from drivers.wire.codec import Decoder
 
 SILENCE = 1.0  # s without a byte before the device is asked again
+ANSWER = 0.25  # s that it gets to answer before the line is closed and opened again
+PATIENCE = 8.0  # s: a line that opens but says nothing is opened again after longer and longer
 RETRY = 0.1  # s between attempts to open a line that was lost
+HELD = 0.1  # s of silence after which frames no longer wait for a late one
+
+log = logging.getLogger(__name__)
+
+
+def reorder_of(url: Url) -> int:
+    """The option `reorder` of an address: frames that wait for a late one. Raises UrlError."""
+    return url.take("reorder", 0, _depth)
+
+
+def _depth(text: str) -> int:
+    if text not in {"0", "1", "2", "3"}:
+        raise ValueError("it is a number of frames, 0 to 3")
+    return int(text)
+
+
+class Recorder(Protocol):
+    """What keeps all that came over a line: called on the reader's thread, so it must not wait."""
+
+    def received(self, source: str, received: Received) -> None: ...
+
+    def lost(self, source: str, t: float) -> None: ...
+
+    def found(self, source: str, t: float) -> None: ...
 
 
 class WireSource(Source):
-    """Frames that `decoder` reads from the line that `connect` opens.
+    """Frames that `decoder` reads from the line that `connect` opens, as `convention` says.
 
     `connect` raises SourceError where the line cannot be opened: the first time that is the
-    caller's to see, afterwards the line is tried again every 100 ms. Counts `bytes`,
-    `disconnects`, `reconnects`, and what the decoder counts.
+    caller's to see, afterwards the line is tried again every 100 ms. reopens: whether a line that
+    stays silent is closed and opened again, as a serial port is. reorder: frames (0 to 3) that wait
+    for one that is late. Counts `bytes`, `silences`, `disconnects`, `reconnects`, `out_of_range`
+    (markers), `bad_layout`, and what decoder, sequence and clock map count.
     """
 
     def __init__(
-        self, name: str, connect: Callable[[], Transport], decoder: Decoder, clock: Clock
+        self,
+        name: str,
+        connect: Callable[[], Transport],
+        decoder: Decoder,
+        clock: Clock,
+        *,
+        convention: Convention | None = None,
+        reorder: int = 0,
+        reopens: bool = False,
     ) -> None:
         super().__init__(name, clock)
+        self.recorder: Recorder | None = None
+        self.clock_map = ClockMap(self.counters)
         self._connect = connect
         self._decoder = decoder
         self._decoder.counters = self.counters
+        self._convention = convention or Convention()
+        self._sequence = Sequence(self.counters, reorder)
+        self._reopens = reopens
+        self._foreign: Layout | None = None
         self._transport: Transport | None = connect()
-        self._quiet_since = clock.now()
+        self._quiet_since = self._last = clock.now()
+        self._patience = SILENCE
+        self._asked = False
         self._say_hello()
 
     def _receive(self, timeout: float) -> Iterable[MarkerFrame] | None:
         if self._transport is None and not self._reconnect(timeout):
             return None
         assert self._transport is not None
-        # Wake up in time to ask a silent device again.
-        wait = min(timeout, max(0.0, self._quiet_since + SILENCE - self.clock.now()))
+        # Wake up in time to ask a silent device again, and for frames that wait for a late one.
+        due = self._quiet_since + self._patience + (ANSWER if self._asked else 0.0)
+        if self._sequence.waiting:
+            due = min(due, self._last + HELD)
         try:
-            data = self._transport.receive(wait)
+            received = self._transport.receive(min(timeout, max(0.0, due - self.clock.now())))
         except TransportLost:
             self._lose()
-            return None
+            return self._finished(self._sequence.flush())
+        if received is None:
+            return self._silent()
+        frames = self._sequence.flush() if received.t - self._last > HELD else []
+        self._quiet_since = self._last = received.t
+        self._patience, self._asked = SILENCE, False
+        self.counters["bytes"] += len(received.data)
+        if self.recorder:
+            self.recorder.received(self.name, received)
+        if self._admits(received):
+            for frame in self._decoder.feed(received.data, received.t):
+                frames += self._sequence.put(frame)
+        return self._finished(frames)
+
+    def _admits(self, received: Received) -> bool:
+        """Whether these bytes are of the sender that is listened to."""
+        return True
+
+    def _finished(self, frames: list[MarkerFrame]) -> list[MarkerFrame]:
+        """Frames of the wire as ours: our labels, metres, and the host's clock."""
+        if self._decoder.layout is not self._foreign:
+            self._adopt(self._decoder.layout)
+        finished = []
+        for frame in frames:
+            if frame.layout is not self._foreign:  # the last before a change
+                self._adopt(frame.layout)
+            if self.layout is None:
+                self.counters["bad_layout"] += 1
+                continue
+            xyz = self._convention.xyz_in(frame.xyz)
+            there = in_range(xyz).all(axis=1, keepdims=True)
+            if not there.all():
+                given = ~np.isnan(xyz).any(axis=1, keepdims=True)
+                self.counters["out_of_range"] += int((~there & given).sum())
+                xyz = np.where(there, xyz, np.float32(np.nan))
+            mapped = self.clock_map.map(frame.t, frame.t_device)
+            finished.append(
+                MarkerFrame(frame.index, frame.t, frame.t_device, self.layout, xyz, mapped)
+            )
+        return finished
+
+    def _adopt(self, foreign: Layout | None) -> None:
+        self._foreign, self.layout = foreign, None
+        if foreign is None:
+            return
+        try:
+            self.layout = self._convention.layout_in(foreign)
+        except ValueError as error:
+            log.warning("%s: the option labels does not fit the stream: %s", self.name, error)
+        lacking = [name for name in self._convention.labels if name not in foreign.labels]
+        if lacking:
+            log.warning(
+                "%s: the option labels names %s, which the stream does not carry (it has %s)",
+                *(self.name, ", ".join(lacking), ", ".join(foreign.labels)),
+            )
+
+    def _silent(self) -> list[MarkerFrame] | None:
+        """Nothing came: asks the device, then opens the line again."""
         now = self.clock.now()
-        if not data:
-            if now - self._quiet_since >= SILENCE:
+        if self._sequence.waiting and now - self._last >= HELD:
+            return self._finished(self._sequence.flush())
+        if self._asked:
+            if now - self._quiet_since >= self._patience + ANSWER:
+                self.counters["silences"] += 1
+                self._patience = min(2 * self._patience, PATIENCE)
+                self._lose()
+        elif now - self._quiet_since >= self._patience:
+            self._say_hello()
+            if self._reopens:
+                self._asked = True
+            else:
                 self._quiet_since = now
-                self._say_hello()
-            return None
-        self._quiet_since = now
-        self.counters["bytes"] += len(data)
-        frames = self._decoder.feed(data, now)
-        self.layout = self._decoder.layout
-        return frames
+        return None
 
     def _say_hello(self) -> None:
         if self._decoder.hello and self._transport is not None:
@@ -67,6 +182,8 @@ class WireSource(Source):
         if self._transport is not None:
             self._transport.close()
         self._transport = None
+        if self.recorder:
+            self.recorder.lost(self.name, self.clock.now())
 
     def _reconnect(self, timeout: float) -> bool:
         try:
@@ -76,7 +193,11 @@ class WireSource(Source):
             return False
         self.counters["reconnects"] += 1
         self._decoder.reset()
+        self._sequence.reset()
         self._quiet_since = self.clock.now()
+        self._asked = False
+        if self.recorder:
+            self.recorder.found(self.name, self._quiet_since)
         self._say_hello()
         return self._transport is not None  # it may be gone again already
 

@@ -117,8 +117,8 @@ class Device:
         clock.call_at(self.due, next_frame)
 
     def _answered(self, timeout: float) -> bool:
-        data = self._wire.transport.receive(timeout)
-        if not (data and self._wire.encoder.has_hello(data)):
+        received = self._wire.transport.receive(timeout)
+        if not (received and self._wire.encoder.has_hello(received.data)):
             return False
         self._wire.send_layout(self._clock.now())
         return True

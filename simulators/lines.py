@@ -13,6 +13,7 @@ import tty
 from pathlib import Path
 
 from drivers.errors import MarkerbridgeError
+from drivers.transport import Received
 from drivers.udp_sender import UdpSender
 
 PATIENCE = 0.25  # s that a host gets to make room before bytes are lost
@@ -49,9 +50,9 @@ class PtyLine:
                 "not exist, for example serial:/tmp/tracker"
             ) from error
 
-    def receive(self, timeout: float) -> bytes:
+    def receive(self, timeout: float) -> Received | None:
         ready, _, _ = select.select([self._device], [], [], timeout)
-        return os.read(self._device, 4096) if ready else b""
+        return Received(os.read(self._device, 4096), time.monotonic()) if ready else None
 
     def send(self, data: bytes) -> None:
         while data:
@@ -94,8 +95,8 @@ class UdpLine(UdpSender):
         super().__init__(host, port)
         self.lost = 0
 
-    def receive(self, timeout: float) -> bytes:
-        return b""
+    def receive(self, timeout: float) -> Received | None:
+        return None
 
     def send(self, datagram: bytes | bytearray) -> None:
         try:

@@ -14,9 +14,9 @@ from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
 from pythonosc.osc_message import OscMessage
 from pythonosc.osc_message_builder import OscMessageBuilder
 
-from bridge.coordinates import to_unity
 from bridge.pose import Pose
 from bridge.sinks.sink import Sink, SinkContext
+from drivers.coordinates import FRAMES
 from drivers.options import positive
 from drivers.udp_sender import UdpSender
 from drivers.url import Url
@@ -45,7 +45,7 @@ class VmcSink(Sink):
             bundles = self._unknown.filled(np.array([seconds]))
         else:
             trackers = np.zeros((len(pose.xyz), 7))
-            trackers[:, :3] = to_unity(pose.xyz)
+            trackers[:, :3] = FRAMES["unity"].from_ours(pose.xyz)
             trackers[:, 6] = 1.0
             bundles = self._known.filled(np.concatenate(([seconds], trackers.ravel())))
         for bundle in bundles:

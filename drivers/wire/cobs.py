@@ -22,6 +22,9 @@ import numpy as np
 from cobs import cobs
 
 from drivers.frame import Floats, Layout, MarkerFrame, in_range
+from drivers.url import Url
+
+FRAME = "cmu"  # metres, Z up
 
 VERSION = 1
 DATA, LAYOUT, HELLO = 0, 1, 2
@@ -175,3 +178,13 @@ class CobsDecoder:
         xyz = np.full((count, 3), np.nan, np.float32)
         xyz[present[:count]] = values
         return MarkerFrame(index, t, microseconds / 1e6, self.layout, xyz)
+
+
+def open_decoder(url: Url) -> CobsDecoder:
+    """The host's side of the wire; it has no options."""
+    return CobsDecoder()
+
+
+def open_encoder(url: Url) -> CobsEncoder:
+    """The device's side of the wire; it has no options."""
+    return CobsEncoder()

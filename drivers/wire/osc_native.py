@@ -16,7 +16,10 @@ import numpy as np
 from pythonosc.osc_message_builder import OscMessageBuilder
 
 from drivers.frame import Floats, Layout, MarkerFrame, in_range
+from drivers.url import Url
 from drivers.wire.osc import OscError, OscMessage, arguments, messages
+
+FRAME = "cmu"  # metres, Z up
 
 LAYOUT_ADDRESS = "/markerbridge/layout"
 FRAME_ADDRESS = "/markerbridge/frame"
@@ -118,3 +121,13 @@ class NativeOscDecoder:
         self.counters["out_of_range"] += int((~there & ~np.isnan(xyz).any(axis=1)).sum())
         xyz[~there] = np.nan
         return MarkerFrame(index, t, t_device, self.layout, xyz)
+
+
+def open_decoder(url: Url) -> NativeOscDecoder:
+    """The host's side of the wire; it has no options."""
+    return NativeOscDecoder()
+
+
+def open_encoder(url: Url) -> NativeOscEncoder:
+    """The device's side of the wire; it has no options."""
+    return NativeOscEncoder()

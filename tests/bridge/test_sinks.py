@@ -12,7 +12,6 @@ import pytest
 from pythonosc.osc_bundle import OscBundle
 from pythonosc.osc_message import OscMessage
 
-from bridge.coordinates import to_unity
 from bridge.model import Model
 from bridge.pose import Pose, Provenance
 from bridge.sinks.registry import open_sink
@@ -58,24 +57,6 @@ def sent(address: str, *poses: Pose) -> list[bytes]:
         sink.close()
         wait_for(lambda: receiver.datagrams, "datagrams", 5)
     return receiver.datagrams
-
-
-@pytest.mark.parametrize(
-    ("ours", "unitys"),
-    [
-        ((1, 0, 0), (1, 0, 0)),  # right stays right
-        ((0, 0, 1), (0, 1, 0)),  # up is Unity's y
-        ((0, 1, 0), (0, 0, 1)),  # forward is Unity's z
-        ((0.1, 0.2, 1.7), (0.1, 1.7, 0.2)),
-    ],
-)
-def test_unitys_space(ours, unitys) -> None:
-    np.testing.assert_array_equal(to_unity(np.array([ours], np.float32)), np.float32([unitys]))
-
-
-def test_to_unity_exchanges_the_hands() -> None:
-    x, y, z = to_unity(np.eye(3, dtype=np.float32))
-    assert np.dot(np.cross(x, y), z) == -1
 
 
 def test_vmc_is_one_bundle_that_python_osc_reads_back() -> None:

@@ -49,7 +49,7 @@ class SerialRig:
         self.line = PtyLine(folder / "port")
         self.encoder = CobsEncoder()
         self.source = open_source(f"serial:{folder / 'port'}")
-        while not self.encoder.has_hello(self.line.receive(1.0)):
+        while not ((hello := self.line.receive(1.0)) and self.encoder.has_hello(hello.data)):
             pass
         self.line.send(self.encoder.encode_layout(LAYOUT))
         self.sent = 0
@@ -100,7 +100,9 @@ class MemoryRig:
         host, self.line = memory_line(clock)
         self.encoder = CobsEncoder()
         self.source = WireSource("memory:", lambda: host, CobsDecoder(), clock)
-        assert self.encoder.has_hello(self.line.receive(1.0))
+        hello = self.line.receive(1.0)
+        assert hello is not None
+        assert self.encoder.has_hello(hello.data)
         self.line.send(self.encoder.encode_layout(LAYOUT))
         self.sent = 0
 

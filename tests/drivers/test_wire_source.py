@@ -81,7 +81,7 @@ def test_a_lost_line_is_tried_every_100_ms_and_the_stream_goes_on() -> None:
     assert source.read(1.0) is None
     assert source.counters["disconnects"] == source.counters["reconnects"] == 1
     assert plug.attempts[-1] - 3.0 <= 0.1 + 1e-6
-    assert encoder.has_hello(plug.device.receive(0.0))
+    assert encoder.has_hello(plug.device.receive(0.0).data)
     plug.device.send(encoder.encode_layout(LAYOUT) + encoder.encode_frame(2, 0.0, XYZ))
     frame = source.read(0.1)
     assert frame is not None
