@@ -8,15 +8,15 @@ from drivers.frame import MarkerFrame
 
 LEAP = 1200  # frames: a larger step is another count, not lost or late frames
 RESTART = 8  # old frames in a row, in order, after which the device has started anew
-MOST = 3  # frames that the reorder buffer may hold
+OVERTAKEN = 8  # frames that no frame is later than
 
 
 class Sequence:
     """Delivers each index once and in order. depth: frames that wait for one that is late, 0 to 3.
 
     Counts `missing` (indices that never came), `late` (came after their turn had been given up;
-    they are no longer missing then), `duplicates`, `reordered` (put right by the buffer) and
-    `restarts`.
+    they are no longer missing then), `duplicates`, `reordered` (put right by the buffer),
+    `restarts`, and `bad_indices`: a leap after which the count goes on where it was.
     """
 
     def __init__(self, counters: Counter[str], depth: int = 0) -> None:
@@ -26,6 +26,7 @@ class Sequence:
         self._next: int | None = None
         self._given_up: deque[int] = deque(maxlen=LEAP)
         self._old: list[int] = []  # indices of old frames in a row
+        self._steady: int | None = None  # what follows the last index that came when it was due
 
     def reset(self) -> None:
         """The device may count anew from here."""
@@ -33,6 +34,7 @@ class Sequence:
         self._given_up.clear()
         self._old = []
         self._next = None
+        self._steady = None
 
     @property
     def waiting(self) -> bool:
@@ -42,8 +44,14 @@ class Sequence:
     def put(self, frame: MarkerFrame) -> list[MarkerFrame]:
         """The frames whose turn it is now."""
         index = frame.index
-        if self._next is None or abs(index - self._next) > LEAP:
-            return self._restart(frame)
+        if self._next is None:
+            return self._begin(frame)
+        if self._is_back(index):
+            self._counters["bad_indices"] += 1
+            return self._begin(frame)
+        if abs(index - self._next) > LEAP:
+            self._counters["restarts"] += 1
+            return self._begin(frame)
         if index < self._next:
             return self._put_old(frame)
         self._old = []
@@ -52,6 +60,8 @@ class Sequence:
             return []
         if self._waiting and index < max(self._waiting):
             self._counters["reordered"] += 1
+        if index == self._next:
+            self._steady = index + 1
         self._waiting[index] = frame
         return self._due(self._depth)
 
@@ -79,7 +89,8 @@ class Sequence:
             self._old = []
         self._old.append(index)
         if len(self._old) == RESTART:
-            return self._restart(frame)
+            self._counters["restarts"] += 1
+            return self._begin(frame)
         if index in self._given_up:
             self._given_up.remove(index)
             self._counters["missing"] -= 1
@@ -88,13 +99,24 @@ class Sequence:
             self._counters["duplicates"] += 1
         return []
 
-    def _restart(self, frame: MarkerFrame) -> list[MarkerFrame]:
+    def _is_back(self, index: int) -> bool:
+        """Whether the count goes on before a leap that nothing has confirmed: one index was wrong,
+        as on a wire without checksums.
+        """
+        assert self._next is not None
+        return (
+            self._steady is not None
+            and abs(self._next - self._steady) > OVERTAKEN
+            and 0 <= index - self._steady < OVERTAKEN
+        )
+
+    def _begin(self, frame: MarkerFrame) -> list[MarkerFrame]:
         """Counts from this frame on; what waits comes first."""
-        due = self.flush() if self._waiting else []
-        if self._next is not None:
-            self._counters["restarts"] += 1
-            # What was given up from here on, if the count went back, is still to come.
-            self._counters["missing"] -= sum(index >= frame.index for index in self._given_up)
+        due = self.flush()
+        # What was given up from here on, if the count went back, is still to come.
+        self._counters["missing"] -= sum(index >= frame.index for index in self._given_up)
+        steady = self._steady
         self.reset()
         self._next = frame.index + 1
+        self._steady = steady
         return [*due, frame]

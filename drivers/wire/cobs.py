@@ -21,7 +21,7 @@ from collections import Counter
 import numpy as np
 from cobs import cobs
 
-from drivers.frame import Floats, Layout, MarkerFrame, in_range
+from drivers.frame import Floats, Layout, MarkerFrame
 from drivers.url import Url
 
 FRAME = "cmu"  # metres, Z up
@@ -167,7 +167,7 @@ class CobsDecoder:
         bits = np.frombuffer(body[_DATA_HEAD.size : bitmap_end], np.uint8)
         present = np.unpackbits(bits, bitorder="little").astype(bool)
         values = np.frombuffer(body[bitmap_end:], "<f4").reshape(-1, 3)
-        if present[count:].any() or present.sum() != len(values) or not in_range(values).all():
+        if present[count:].any() or present.sum() != len(values) or not np.isfinite(values).all():
             raise ValueError("bitmap and coordinates disagree")
         if self.layout is None:
             self.counters["no_layout"] += 1

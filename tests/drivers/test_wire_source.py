@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from drivers.clock import VirtualClock
+from drivers.convention import Convention
+from drivers.coordinates import FRAMES
 from drivers.frame import Layout, SourceError
 from drivers.transport import MemoryTransport, memory_line
 from drivers.wire.cobs import CobsDecoder, CobsEncoder
@@ -127,6 +129,79 @@ def test_another_device_on_the_line_is_not_read_with_the_labels_of_the_first() -
     assert frame is not None
     assert (frame.index, frame.layout.labels) == (8, ("LTOE",))
     assert source.counters["no_layout"] == 1
+
+
+def test_a_port_that_stays_silent_is_opened_again_after_longer_and_longer() -> None:
+    clock = VirtualClock()
+    plug = Plug(clock)
+    source = WireSource("plug", plug.connect, CobsDecoder(), clock, reopens=True)
+    assert source.read(40.0) is None
+    # 1 s of silence and 0.25 s for an answer; then twice as long, 8 s at most.
+    waits = np.diff([moment for moment in plug.attempts if moment <= 40])
+    np.testing.assert_allclose(waits, [1.25, 2.25, 4.25, 8.25, 8.25, 8.25], atol=1e-6)
+    assert source.counters["silences"] == source.counters["reconnects"] == 6
+    encoder = CobsEncoder()
+    plug.device.send(encoder.encode_layout(LAYOUT) + encoder.encode_frame(0, 0.0, XYZ))
+    assert source.read(0.1) is not None
+    attempts = len(plug.attempts)
+    assert source.read(1.5) is None
+    assert len(plug.attempts) == attempts + 1  # patience is short again
+
+
+def test_an_answer_to_the_question_keeps_the_line_open() -> None:
+    clock = VirtualClock()
+    plug = Plug(clock)
+    source = WireSource("plug", plug.connect, CobsDecoder(), clock, reopens=True)
+    encoder = CobsEncoder()
+
+    def answer() -> None:
+        hello = plug.device.receive(0.0)
+        if hello and encoder.has_hello(hello.data):
+            plug.device.send(encoder.encode_layout(LAYOUT))
+        clock.call_at(clock.now() + 0.01, answer)
+
+    answer()
+    assert source.read(10.0) is None
+    assert source.counters["disconnects"] == 0
+    assert source.counters["layouts"] >= 9
+
+
+def test_frames_come_in_our_words_metres_and_time() -> None:
+    clock = VirtualClock(100.0)
+    plug = Plug(clock)
+    convention = Convention(FRAMES["unreal"], {"neck": "C7"})
+    source = WireSource("plug", plug.connect, CobsDecoder(), clock, convention=convention)
+    encoder = CobsEncoder()
+    plug.device.send(encoder.encode_layout(Layout(("neck", "nose"), 120.0)))
+    foreign = np.float32([[100, 200, 150], [3e6, 0, 0]])  # the second is 30 km away
+    plug.device.send(encoder.encode_frame(0, 7.0, np.nan_to_num(foreign)))
+    clock.sleep_until(100.2)  # it is not read at once
+    plug.device.send(encoder.encode_frame(1, 7.2, foreign))
+    first, second = source.read(0.1), source.read(0.1)
+    assert first.layout.labels == ("C7", "nose")
+    np.testing.assert_allclose(first.xyz[0], [2, 1, 1.5], rtol=1e-6)
+    assert np.isnan(first.xyz[1]).all()
+    assert source.counters["out_of_range"] == 2
+    assert (first.t_device, first.t_mapped) == (7.0, pytest.approx(100.0))
+    assert (second.t_device, second.t_mapped) == (pytest.approx(7.2), pytest.approx(100.2))
+    assert first.layout is second.layout
+
+
+def test_labels_that_do_not_fit_the_stream_are_told(caplog: pytest.LogCaptureFixture) -> None:
+    clock = VirtualClock()
+    plug = Plug(clock)
+    convention = Convention(labels={"neck": "C7", "toe": "LTOE"})
+    source = WireSource("plug", plug.connect, CobsDecoder(), clock, convention=convention)
+    encoder = CobsEncoder()
+    plug.device.send(encoder.encode_layout(Layout(("neck",), 120.0)))
+    plug.device.send(encoder.encode_frame(0, 0.0, XYZ))
+    assert source.read(0.1) is not None
+    assert "names toe, which the stream does not carry (it has neck)" in caplog.text
+    plug.device.send(encoder.encode_layout(Layout(("neck", "C7"), 120.0)))
+    plug.device.send(encoder.encode_frame(1, 0.0, np.ones((2, 3), np.float32)))
+    assert source.read(0.1) is None
+    assert "does not fit the stream: marker labels occur twice: C7" in caplog.text
+    assert source.counters["bad_layout"] == 1
 
 
 def test_rubbish_that_never_ends_does_not_hold_read_past_its_deadline() -> None:
