@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable, Iterable
 from typing import Protocol
 
@@ -21,6 +22,7 @@ SILENCE = 1.0  # s without a byte before the device is asked again
 ANSWER = 0.25  # s that it gets to answer before the line is closed and opened again
 PATIENCE = 8.0  # s: a line that opens but says nothing is opened again after longer and longer
 RETRY = 0.1  # s between attempts to open a line that was lost
+ROUNDING = 1e-6  # s by which a wait may end too early
 HELD = 0.1  # s of silence after which frames no longer wait for a late one
 
 log = logging.getLogger(__name__)
@@ -82,6 +84,7 @@ class WireSource(Source):
         self._quiet_since = self._last = clock.now()
         self._patience = SILENCE
         self._asked = False
+        self._try_at = clock.now()
         self._say_hello()
 
     def _receive(self, timeout: float) -> Iterable[MarkerFrame] | None:
@@ -89,9 +92,7 @@ class WireSource(Source):
             return None
         assert self._transport is not None
         # Wake up in time to ask a silent device again, and for frames that wait for a late one.
-        due = self._quiet_since + self._patience + (ANSWER if self._asked else 0.0)
-        if self._sequence.waiting:
-            due = min(due, self._last + HELD)
+        due = min(self._silent_at, self._held_until)
         try:
             received = self._transport.receive(min(timeout, max(0.0, due - self.clock.now())))
         except TransportLost:
@@ -154,21 +155,31 @@ class WireSource(Source):
 
     def _silent(self) -> list[MarkerFrame] | None:
         """Nothing came: asks the device, then opens the line again."""
-        now = self.clock.now()
-        if self._sequence.waiting and now - self._last >= HELD:
+        now = self.clock.now() + ROUNDING
+        if now >= self._held_until:
             return self._finished(self._sequence.flush())
+        if now < self._silent_at:
+            return None
         if self._asked:
-            if now - self._quiet_since >= self._patience + ANSWER:
-                self.counters["silences"] += 1
-                self._patience = min(2 * self._patience, PATIENCE)
-                self._lose()
-        elif now - self._quiet_since >= self._patience:
+            self.counters["silences"] += 1
+            self._patience = min(2 * self._patience, PATIENCE)
+            self._lose()
+        else:
             self._say_hello()
-            if self._reopens:
-                self._asked = True
-            else:
-                self._quiet_since = now
+            self._asked = self._reopens
+            if not self._reopens:
+                self._quiet_since = self.clock.now()
         return None
+
+    @property
+    def _silent_at(self) -> float:
+        """When the line will have been silent for too long."""
+        return self._quiet_since + self._patience + (ANSWER if self._asked else 0.0)
+
+    @property
+    def _held_until(self) -> float:
+        """When frames no longer wait for a late one."""
+        return self._last + HELD if self._sequence.waiting else math.inf
 
     def _say_hello(self) -> None:
         if self._decoder.hello and self._transport is not None:
@@ -186,10 +197,16 @@ class WireSource(Source):
             self.recorder.lost(self.name, self.clock.now())
 
     def _reconnect(self, timeout: float) -> bool:
+        until = self.clock.now() + timeout
+        if self._try_at > self.clock.now():
+            self.clock.sleep_until(min(self._try_at, until))
+        if self._try_at > self.clock.now():
+            return False
+        self._try_at = self.clock.now() + RETRY
         try:
             self._transport = self._connect()
         except SourceError:
-            self.clock.sleep_until(self.clock.now() + min(RETRY, timeout))
+            self.clock.sleep_until(min(self._try_at, until))
             return False
         self.counters["reconnects"] += 1
         self._decoder.reset()
