@@ -31,7 +31,13 @@ COMMANDS = {
         "training.select_command:main",
         "which markers to track: a study of how stable the choice is",
     ),
+    "convert": ("bridge.convert_command:main", "a recorded session as C3D, TRC or CSV"),
     "fetch": ("training.fetch_command:main", "captures from the CMU database, with a manifest"),
+    "doctor": (
+        "bridge.doctor.command:main",
+        "listen to a source: what is wrong, and what to write to mend it",
+    ),
+    "devices": ("bridge.devices_command:main", "serial ports, and what is being sent on them"),
 }
 EXTRAS = {
     "train": (

@@ -17,8 +17,9 @@ from rich.console import Console
 
 from bridge import terminal
 from bridge.model import DEFAULT, Model
-from bridge.run_command import open_session
+from bridge.opening import open_session
 from bridge.session import Session
+from bridge.session_file import plan_session
 from bridge.sinks.sink import SinkError
 from bridge.view.process import has_display
 from bridge.view.snapshot import check_picture, snapshot
@@ -51,10 +52,11 @@ def main(argv: list[str]) -> int:
         check_picture(options.snapshot)
     with tempfile.TemporaryDirectory(prefix="markerbridge-") as folder:
         port = Path(folder) / "tracker"
+        plan = plan_session({"source": f"serial:{port}", "sinks": sinks, "truth": truth})
         with (
             stopping() as stop,
             _simulator(options, port, truth) as simulator,
-            open_session(f"serial:{port}", model, sinks, truth) as session,
+            open_session(plan, model, stop) as session,
         ):
             _introduce(console, options, sinks)
             with terminal.shown(console, session.status, TITLE):

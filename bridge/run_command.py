@@ -5,94 +5,122 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
-import logging
+import os
 import sys
-from collections.abc import Callable, Iterator
+import threading
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
+from datetime import datetime
+from importlib.metadata import version
 from typing import Any
 
 from rich.console import Console
 
 from bridge import terminal
-from bridge.estimator import PoseEstimator
-from bridge.model import DEFAULT, Model, ModelInfo
+from bridge.model import DEFAULT, Model
+from bridge.opening import Stopped, open_session
 from bridge.session import Session
-from bridge.sinks.registry import open_sink
-from bridge.sinks.sink import Sink, SinkContext, SinkError, ViewError
-from bridge.truth import Truth
+from bridge.session_file import SessionPlan, plan_session, read_session
+from bridge.status_server import StatusServer, parse_endpoint
+from bridge.watch import watching
 from drivers.errors import MarkerbridgeError, UsageError
 from drivers.options import checked, positive
-from drivers.registry import open_source
 from drivers.signals import stopping
-
-log = logging.getLogger(__name__)
+from drivers.url import Url
 
 
 def main(argv: list[str]) -> int:
     """Runs the command; 0 when the session ended as it was asked to."""
     options = _parser().parse_args(argv)
+    plan = _plan(options)
     console = Console(stderr=True)
-    terminal.log_to(console)
-    model = Model(options.model)
-    with (
-        stopping() as stop,
-        open_session(options.source, model, options.to, options.truth) as session,
-    ):
-        title = f"markerbridge run {options.source}"
-        with (
-            contextlib.nullcontext()
-            if options.json
-            else terminal.shown(console, session.status, title)
-        ):
-            session.run(stop, options.seconds)
-        session.close()
-        status = session.status()
-    if options.json:
-        _print_json(asdict(status))
-    else:
-        terminal.summarise(console, status, f"{title}: ended")
+    terminal.log_to(console, plan.log.level)
+    # The paths of a session file, whoever reads them, are relative to its folder.
+    here = contextlib.chdir(plan.folder) if plan.folder else contextlib.nullcontext()
+    with here, stopping() as stop:
+        _run(plan, stop, console, as_json=options.json)
     return 0
 
 
-@contextmanager
-def open_session(
-    source_address: str,
-    model: Model,
-    sinks: list[str],
-    truth_address: str | None = None,
-) -> Iterator[Session]:
-    """A session with source and sinks opened by address; all is closed at the end, come what may.
+def _run(plan: SessionPlan, stop: threading.Event, console: Console, *, as_json: bool) -> None:
+    title = f"markerbridge run {plan.source.url}"
+    report = Report(plan)
+    with _status_server(plan, report, console):
+        with contextlib.suppress(Stopped), open_session(plan, Model(plan.model), stop) as session:
+            report.session, report.state = session, "running"
+            shown = (
+                contextlib.nullcontext()
+                if as_json
+                else terminal.shown(console, session.status, title, plan.log.lines)
+            )
+            with shown, watching(session.source.name, session.status, plan.log.every):
+                session.run(stop, plan.seconds)
+            session.close()
+        report.state = "ended"
+        if as_json:
+            _print_json(report())
+        elif report.session:
+            terminal.summarise(console, report.session.status(), f"{title}: ended")
+        else:
+            console.print(f"{title}: ended before its source was there", markup=False)
 
-    The source comes last: a device starts to send when it is opened, and a view takes its time.
+
+class Report:
+    """A session for machines: what it is, and once its source is there, all of its status.
+
+    state: `waiting` for the source, `running`, `ended`.
     """
-    if len(set(sinks)) < len(sinks):
-        raise UsageError("a sink is named twice: --to takes each address once")
-    with contextlib.ExitStack() as opened:
-        truth = open_truth(truth_address, model.info) if truth_address else None
-        if truth:
-            opened.enter_context(truth.source)
-        context = SinkContext(model.info, truth.at if truth else lambda _index: None)
-        open_sinks: list[Sink] = []
-        for address in sinks:
-            try:
-                sink = open_sink(address, context)
-            except ViewError as error:  # nobody's session ends for want of a window
-                log.warning("%s", error)
-                continue
-            opened.callback(_quietly(sink.close))
-            open_sinks.append(sink)
-        source = opened.enter_context(open_source(source_address))
-        session = Session(source, PoseEstimator(model), open_sinks, context, truth=truth)
-        opened.callback(session.close)
-        yield session
+
+    def __init__(self, plan: SessionPlan) -> None:
+        self.state = "waiting"
+        self.session: Session | None = None
+        self._process = {
+            "version": version("markerbridge"),
+            "pid": os.getpid(),
+            "started": datetime.now().astimezone().isoformat(timespec="seconds"),
+        }
+        self._plan = plan
+
+    def __call__(self) -> dict[str, Any]:
+        session = self.session
+        return {
+            **self._process,
+            "state": self.state,
+            "source_address": session.source.name if session else self._plan.source.url,
+            "sink_addresses": self._plan.sinks,
+            **(asdict(session.status()) if session else {}),
+        }
 
 
-def open_truth(address: str, info: ModelInfo) -> Truth:
-    """Listens for true poses at osc://HOST:PORT. Raises UrlError or SourceError."""
-    if not address.startswith("osc:"):
-        raise UsageError(f"--truth '{address}': write osc://HOST:PORT")
-    return Truth(open_source(address), info.labels)
+def _plan(options: argparse.Namespace) -> SessionPlan:
+    """What the command line says, or its session file with what the command line overrides."""
+    if (options.source is None) == (options.config is None):
+        raise UsageError("name a SOURCE, or --config FILE, which names one: not both")
+    overriding = {"seconds": options.seconds, "status": options.status, "wait": options.wait}
+    overriding = {name: value for name, value in overriding.items() if value}
+    if options.config is not None:
+        for name in ("model", "to", "truth", "allow"):
+            if getattr(options, name) not in (None, []):
+                raise UsageError(f"--{name} and --config: write it into {options.config}")
+        return read_session(options.config).model_copy(update=overriding)
+    source = {"url": options.source}
+    if options.allow is not None:
+        if Url.parse(options.source).scheme != "osc":
+            raise UsageError(f"--allow is for osc:// sources, not for '{options.source}'")
+        source["allow"] = options.allow
+    written = {"model": options.model or DEFAULT, "sinks": options.to, "truth": options.truth}
+    return plan_session({"source": source, **written, **overriding})
+
+
+@contextmanager
+def _status_server(plan: SessionPlan, report: Report, console: Console) -> Iterator[None]:
+    if plan.status is None:
+        yield
+        return
+    with StatusServer(plan.status, report) as server:
+        console.print(f"status at {server.url}", markup=False, highlight=False)
+        yield
 
 
 def _print_json(value: dict[str, Any]) -> None:
@@ -108,16 +136,6 @@ def _print_json(value: dict[str, Any]) -> None:
         raise MarkerbridgeError(f"cannot write to standard output: {error}") from error
 
 
-def _quietly(close: Callable[[], None]) -> Callable[[], None]:
-    """For what is closed a second time only because something else failed before."""
-
-    def call() -> None:
-        with contextlib.suppress(OSError, SinkError):
-            close()
-
-    return call
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="markerbridge run",
@@ -125,16 +143,50 @@ def _parser() -> argparse.ArgumentParser:
         "Ctrl-C ends it with a summary.",
     )
     add = parser.add_argument
-    add("source", metavar="SOURCE", help="serial:PATH, osc://HOST:PORT or c3d:FILE")
-    add("--model", default=DEFAULT, help="a model file (default: the one that ships)")
+    add(
+        "source",
+        metavar="SOURCE",
+        nargs="?",
+        help="serial:PATH, osc://HOST:PORT, c3d:FILE or log:FILE",
+    )
+    add(
+        "--config",
+        metavar="FILE",
+        help="a session file (TOML), which says what SOURCE, --model, --to, --truth and --allow "
+        "would; --seconds, --status and --wait override it; paths in it are relative to its folder",
+    )
+    add("--model", help="a model file (default: the one that ships)")
     add(
         "--to",
         action="append",
         default=[],
         metavar="SINK",
-        help="vmc://HOST:PORT, osc://HOST:PORT, c3d:FILE or view: (any number of times)",
+        help="vmc://HOST:PORT, osc://HOST:PORT, c3d:FILE, log:FILE or view: (any number of times)",
     )
     add("--truth", metavar="URL", help="osc://HOST:PORT: where a simulator sends the true poses")
-    add("--seconds", type=checked(positive), metavar="S", help="end after S seconds")
+    add(
+        "--allow",
+        metavar="ADDR,...",
+        help="senders that an osc:// source listens to: addresses and networks, as "
+        "192.168.1.20,10.0.0.0/8",
+    )
+    add(
+        "--wait",
+        action="store_true",
+        help="wait for a source that is not there yet, in place of ending with an error",
+    )
+    add(
+        "--seconds",
+        type=checked(positive),
+        metavar="S",
+        help="end after S seconds, counted from when the source is there",
+    )
+    add(
+        "--status",
+        type=checked(parse_endpoint),
+        metavar="HOST:PORT",
+        help="answer there, over HTTP, with the session's status as JSON (HOST: this machine "
+        "alone unless named; port 0: one that is free)",
+    )
     add("--json", action="store_true", help="no table; the summary as JSON on standard output")
     return parser

@@ -14,12 +14,15 @@ import numpy as np
 
 from bridge.estimator import PoseEstimator
 from bridge.pose import Pose, Provenance
-from bridge.sinks.outlet import Outlet
+from bridge.sinks.outlet import Outlet, Tap
 from bridge.sinks.sink import Sink, SinkContext, SinkError
 from bridge.statistics import Durations, Mean
 from bridge.truth import Truth, rms_mm
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.frame import Floats, Layout, MarkerFrame, Source, SourceError
+from drivers.log_source import TRUTH, LogSource
+from drivers.session_log import OPENED, LineEvent
+from drivers.wire_source import WireSource
 
 log = logging.getLogger(__name__)
 
@@ -71,6 +74,7 @@ class Session:
         self._estimator = estimator
         self._context = context
         self._outlets = [Outlet(sink, clock) for sink in sinks]
+        self._recording = [outlet for outlet in self._outlets if outlet.sink.records]
         self._truth = truth
         self._clock = clock
         self._started = clock.now()
@@ -83,6 +87,10 @@ class Session:
         self._arrivals: deque[float] = deque(maxlen=240)
         self._layout: Layout | None = None
         self._closed = False
+        context.model = estimator.model.path
+        self._tap("source", source)
+        if truth:
+            self._tap(TRUTH, truth.source)
 
     def handle(self, frame: MarkerFrame) -> Pose:
         """Estimates the pose at one frame and hands it to every sink.
@@ -93,6 +101,7 @@ class Session:
             self._adopt(frame.layout)
         if self._truth:
             self._truth.receive()
+        self._record(frame)
         pose = self._estimator.step(frame)
         for outlet in self._outlets:
             outlet.put(pose)
@@ -177,7 +186,7 @@ class Session:
             imputed_now=imputed,
             imputed_samples=self._counters["imputed"],
             lost_frames=self._counters["lost"],
-            missing_indices=self._counters["missing_indices"],
+            missing_indices=self.source.counters["missing"],
             waiting=len(self._fifo),
             source=dict(self.source.counters) | {"fifo_overflow": self._counters["fifo_overflow"]},
             sinks={
@@ -190,6 +199,20 @@ class Session:
                 for outlet in self._outlets
             },
         )
+
+    def _tap(self, name: str, source: Source) -> None:
+        """Lets the sinks that record know all that comes over a source's line."""
+        if not self._recording:
+            return
+        address = source.address if isinstance(source, LogSource) else source.name
+        for outlet in self._recording:
+            outlet.record(LineEvent(name, self._clock.now(), OPENED, address))
+        if isinstance(source, WireSource):
+            source.recorder = Tap(name, self._recording)
+
+    def _record(self, frame: MarkerFrame) -> None:
+        for outlet in self._recording:
+            outlet.record(frame)
 
     def _adopt(self, layout: Layout) -> None:
         """Takes in a new layout; says which tracked markers the stream does not carry."""
@@ -225,7 +248,7 @@ class Session:
                         self._wake.wait(POLL)
                     self._fifo.append(frame)
                     if len(self._fifo) > room:
-                        self._fifo.popleft()
+                        self._record(self._fifo.popleft())
                         self._counters["fifo_overflow"] += 1
                     self._wake.notify_all()
         except Exception as error:  # for the caller's thread to raise
@@ -235,8 +258,6 @@ class Session:
                 self._wake.notify_all()
 
     def _count(self, frame: MarkerFrame, pose: Pose) -> None:
-        if self.last_pose is not None and frame.index > self.last_pose.index + 1:
-            self._counters["missing_indices"] += frame.index - self.last_pose.index - 1
         self.last_pose = pose
         self._counters["frames"] += 1
         self._counters["imputed"] += int((pose.provenance == Provenance.IMPUTED).sum())

@@ -21,16 +21,18 @@ LINE_EVERY = 5.0  # s, where the output is no terminal
 
 
 @contextmanager
-def shown(console: Console, status: Callable[[], Status], title: str) -> Iterator[None]:
-    """Shows a running session until the block ends."""
+def shown(
+    console: Console, status: Callable[[], Status], title: str, line_every: float = LINE_EVERY
+) -> Iterator[None]:
+    """Shows a running session until the block ends; line_every 0: only where it is a terminal."""
     stop = threading.Event()
     live = (
         Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
     )
 
     def show() -> None:
-        every = LIVE_EVERY if live else LINE_EVERY
-        while not stop.wait(every):
+        every = LIVE_EVERY if live else line_every
+        while not stop.wait(every or None):
             if live:
                 live.update(table(status(), title), refresh=True)
             else:
@@ -49,14 +51,16 @@ def shown(console: Console, status: Callable[[], Status], title: str) -> Iterato
             live.stop()
 
 
-def log_to(console: Console) -> None:
-    """Warnings go where the table is, so that they do not tear it; a line each in a pipe."""
+def log_to(console: Console, level: str = "info") -> None:
+    """The log goes where the table is, so that it does not tear it; a line each in a pipe."""
     handler: logging.Handler = logging.StreamHandler()
-    form = "markerbridge: %(levelname)s: %(message)s"
+    form = "%(asctime)s markerbridge: %(levelname)s: %(message)s"
     if console.is_terminal:
         handler = RichHandler(console=console, show_time=False, show_path=False, markup=False)
         form = "%(message)s"
-    logging.basicConfig(level=logging.WARNING, format=form, handlers=[handler], force=True)
+    logging.basicConfig(
+        level=level.upper(), format=form, datefmt="%H:%M:%S", handlers=[handler], force=True
+    )
 
 
 def summarise(console: Console, status: Status, title: str) -> None:

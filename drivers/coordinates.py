@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
 from drivers.frame import Floats
 
@@ -26,12 +25,20 @@ class Frame:
     unit: float = 1.0
 
     @cached_property
-    def turn(self) -> npt.NDArray[np.float32]:
-        """(3, 3): ours = theirs @ turn, in metres; a signed permutation."""
-        matrix = np.zeros((3, 3), np.float32)
-        for ours, theirs in enumerate(self.axes.split(",")):
-            matrix["xyz".index(theirs[-1]), ours] = -1.0 if theirs[0] == "-" else 1.0
-        return matrix
+    def order(self) -> list[int]:
+        """Which of their axes our x, y and z are."""
+        return ["xyz".index(axis[-1]) for axis in self.axes.split(",")]
+
+    @cached_property
+    def scale(self) -> Floats:
+        """(3,): metres of our x, y and z for one of theirs; negative where the axis is reversed."""
+        signs = [-1.0 if axis[0] == "-" else 1.0 for axis in self.axes.split(",")]
+        return np.array(signs, np.float32) * np.float32(self.unit)
+
+    @property
+    def turn(self) -> Floats:
+        """(3, 3): ours = theirs @ turn, but for the unit; a signed permutation."""
+        return np.sign(self.scale) * np.eye(3, dtype=np.float32)[:, self.order]
 
     @property
     def left_handed(self) -> bool:
@@ -44,15 +51,12 @@ class Frame:
 
     def to_ours(self, xyz: Floats) -> Floats:
         """(..., 3) of theirs, in their unit, as ours in metres."""
-        if self._is_ours:
-            return xyz
-        return np.asarray(xyz @ (self.turn * np.float32(self.unit)), np.float32)
+        # Not a product of matrices: an infinite coordinate would spoil the others of its marker.
+        return xyz if self._is_ours else xyz[..., self.order] * self.scale
 
     def from_ours(self, xyz: Floats) -> Floats:
         """(..., 3) metres of ours as theirs, in their unit."""
-        if self._is_ours:
-            return xyz
-        return np.asarray(xyz @ (self.turn.T / np.float32(self.unit)), np.float32)
+        return xyz if self._is_ours else (xyz / self.scale)[..., np.argsort(self.order)]
 
 
 FRAMES = {
@@ -63,6 +67,7 @@ FRAMES = {
     "steamvr": Frame("x,-z,y"),  # OpenVR: as OpenGL, metres
     "unity": Frame("x,z,y"),  # left-handed: x right, y up, z forward
     "unreal": Frame("y,x,z", UNITS["cm"]),  # left-handed: x forward, y right, z up
+    "fastrak": Frame("y,x,-z", UNITS["in"]),  # Polhemus: x forward, y right, z down
 }
 OURS = FRAMES["cmu"]
 

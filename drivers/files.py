@@ -23,6 +23,11 @@ def whole_file(path: Path) -> Iterator[Path]:
         part.unlink(missing_ok=True)
 
 
+def numbered(path: Path, number: int) -> Path:
+    """The name of part `number` of a recording: `out.c3d`, then `out-2.c3d` and so on."""
+    return path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
+
+
 def write_whole(path: Path, content: bytes) -> None:
     """Writes a file whole or not at all. Raises MarkerbridgeError where that cannot be."""
     try:

@@ -13,6 +13,7 @@ SOURCES = {
     "serial": "drivers.serial_port:open_serial",
     "osc": "drivers.osc_udp:open_osc",
     "c3d": "drivers.c3d_file:open_c3d",
+    "log": "drivers.log_source:open_log",
 }
 
 

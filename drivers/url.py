@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TypeVar
-from urllib.parse import parse_qsl, urlsplit
+from urllib.parse import parse_qsl, quote, urlsplit
 
 from drivers.errors import UsageError
 
 T = TypeVar("T")
+_PLAIN = "/:,*"  # read well in an address and mean nothing in its options
 
 
 class UrlError(UsageError):
-    """An address that cannot be meant; the message names it and the part that is wrong."""
+    """An address that cannot be meant; the message names it and the part that is wrong.
+
+    option: the name of the option that is wrong, if one is. problem: what is wrong with it, for
+    whoever names it otherwise, as a session file does.
+    """
+
+    def __init__(self, message: str, option: str = "", problem: str = "") -> None:
+        super().__init__(message)
+        self.option, self.problem = option, problem
 
 
 @dataclass(slots=True)
@@ -39,7 +48,7 @@ class Url:
             raise UrlError(f"'{text}' has no scheme: write for example serial:/dev/ttyUSB0")
         rest, _, query = rest.partition("?")
         try:
-            options = dict(parse_qsl(query, strict_parsing=True)) if query else {}
+            found = parse_qsl(query, keep_blank_values=True, strict_parsing=True) if query else []
         except ValueError:
             raise UrlError(f"'{text}': options are written ?name=value&name=value") from None
         host, port, path = "", None, rest
@@ -52,7 +61,19 @@ class Url:
                     f"'{text}': write HOST:PORT, the port being a number from 0 to 65535"
                 ) from None
             path = rest[2 + len(parts.netloc) :]
-        return cls(text, scheme, path, host, port, options)
+        return cls(text, scheme, path, host, port, dict(found))
+
+    def adding(self, options: Mapping[str, str]) -> Url:
+        """This address with further options. UrlError for one that it has already."""
+        for name in options:
+            if name in self.options:
+                raise UrlError(
+                    f"'{self.text}': option {name} is given twice", name, f"'{self.text}' has it"
+                )
+        head, _, query = self.text.partition("?")
+        written = [query] if query else []
+        written += [f"{quote(name)}={quote(value, safe=_PLAIN)}" for name, value in options.items()]
+        return Url.parse(f"{head}?{'&'.join(written)}" if written else head)
 
     def take(self, name: str, default: T, read: Callable[[str], T]) -> T:
         """Option `name` through `read`, or `default`. UrlError where `read` raises ValueError."""
@@ -63,7 +84,9 @@ class Url:
         try:
             return read(raw)
         except ValueError as error:
-            raise UrlError(f"'{self.text}': option {name}={raw} is wrong: {error}") from None
+            raise UrlError(
+                f"'{self.text}': option {name}={raw} is wrong: {error}", name, f"'{raw}': {error}"
+            ) from None
 
     def address(self, default_port: int | None = None) -> tuple[str, int]:
         """Host and port; UrlError where one is needed and missing."""
@@ -81,6 +104,10 @@ class Url:
     def finish(self) -> None:
         """UrlError for options that nobody took."""
         if self.options:
-            unknown = ", ".join(sorted(self.options))
-            known = ", ".join(self.known) or "none"
-            raise UrlError(f"'{self.text}': unknown option {unknown} (known: {known})")
+            unknown = sorted(self.options)
+            known = f"(known: {', '.join(self.known) or 'none'})"
+            raise UrlError(
+                f"'{self.text}': unknown option {', '.join(unknown)} {known}",
+                unknown[0],
+                f"unknown key {known}",
+            )

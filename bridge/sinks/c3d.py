@@ -9,6 +9,7 @@ import numpy as np
 from bridge.pose import Pose, Provenance
 from bridge.sinks.sink import Sink, SinkContext, SinkError
 from drivers.c3d_file import MAX_FRAMES, write_c3d
+from drivers.files import numbered
 from drivers.frame import Floats, Layout
 from drivers.url import Url
 
@@ -55,12 +56,10 @@ class C3dSink(Sink):
         """Writes what was kept, unless there is nothing. Raises OSError where it cannot."""
         if not self._frames:
             return
-        path, number = self._path, self._files + 1
-        if number > 1:
-            path = path.with_name(f"{path.stem}-{number}{path.suffix}")
+        path = numbered(self._path, self._files + 1)
         layout = Layout(self._context.info.labels, self._context.rate)
         write_c3d(path, layout, np.stack(self._frames))
-        self._files = number
+        self._files += 1
         self._frames = []
 
     def _keep(self, xyz: Floats) -> None:

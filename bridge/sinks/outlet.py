@@ -7,9 +7,11 @@ import threading
 from collections import Counter, deque
 
 from bridge.pose import Pose
-from bridge.sinks.sink import Sink, SinkError
+from bridge.sinks.sink import Input, Sink, SinkError
 from bridge.statistics import Durations
 from drivers.clock import Clock
+from drivers.session_log import FOUND, LOST, LineBytes, LineEvent
+from drivers.transport import Received
 
 log = logging.getLogger(__name__)
 
@@ -23,8 +25,8 @@ class Outlet:
     A stream slower than the sink's rate loses nothing: after a stall the waiting poses are sent at
     that rate. A faster one is thinned out: the newest pose wins.
 
-    Counts `sent`, `dropped` (the queue was full), `rate_limited` and `errors`. A sink that raises
-    loses that pose and no other.
+    Counts `sent`, `dropped` (the queue was full), `rate_limited`, `recorded` (inputs, by a sink
+    that records) and `errors`. A sink that raises loses that pose and no other.
     """
 
     stream_rate = 0.0  # Hz, once it is known
@@ -34,7 +36,7 @@ class Outlet:
         self.counters: Counter[str] = Counter()
         self.ages = Durations()
         self._clock = clock
-        self._queue: deque[Pose] = deque()
+        self._queue: deque[Pose | Input] = deque()
         self._wake = threading.Condition()
         self._closing = False
         self._thread: threading.Thread | None = None
@@ -59,6 +61,15 @@ class Outlet:
             if self.sink.waiting is not None and len(self._queue) > self.sink.waiting:
                 self._queue.popleft()
                 self.counters["dropped"] += 1
+            self._wake.notify()
+
+    def record(self, came: Input) -> None:
+        """Takes what came in, for a sink that records."""
+        if self._thread is None:
+            self._deliver(came)
+            return
+        with self._wake:
+            self._queue.append(came)
             self._wake.notify()
 
     def close(self) -> None:
@@ -112,16 +123,43 @@ class Outlet:
         self._tokens -= 1.0
         return 0.0
 
-    def _deliver(self, pose: Pose) -> None:
+    def _deliver(self, item: Pose | Input) -> None:
         try:
-            self.sink(pose)
+            if not isinstance(item, Pose):
+                self.sink.record(item)
+                self.counters["recorded"] += 1
+                return
+            self.sink(item)
         except Exception as error:
             self._failed(error)
             return
         self.counters["sent"] += 1
-        self.ages.add(self._clock.now() - pose.t)
+        self.ages.add(self._clock.now() - item.t)
 
     def _failed(self, error: Exception) -> None:
         self.counters["errors"] += 1
         if self.counters["errors"] == 1:
             log.warning("%s: %s (said once; counted from now on)", self.sink.name, error)
+
+
+class Tap:
+    """What comes over the line of a source, on its way to the sinks that record it; `name` is the
+    source's in the recording.
+    """
+
+    def __init__(self, name: str, outlets: list[Outlet]) -> None:
+        self._name = name
+        self._outlets = outlets
+
+    def received(self, source: str, received: Received) -> None:
+        self._record(LineBytes(self._name, received))
+
+    def lost(self, source: str, t: float) -> None:
+        self._record(LineEvent(self._name, t, LOST))
+
+    def found(self, source: str, t: float) -> None:
+        self._record(LineEvent(self._name, t, FOUND))
+
+    def _record(self, came: Input) -> None:
+        for outlet in self._outlets:
+            outlet.record(came)

@@ -13,6 +13,7 @@ SINKS = {
     "osc": "bridge.sinks.osc:OscSink",
     "c3d": "bridge.sinks.c3d:C3dSink",
     "view": "bridge.sinks.view:ViewSink",
+    "log": "bridge.sinks.log:LogSink",
 }
 
 

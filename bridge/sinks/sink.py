@@ -5,11 +5,15 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 from bridge.model import ModelInfo
 from bridge.pose import Pose
 from drivers.errors import MarkerbridgeError
-from drivers.frame import Floats
+from drivers.frame import Floats, MarkerFrame
+from drivers.session_log import LineBytes, LineEvent
+
+Input = LineBytes | LineEvent | MarkerFrame  # what comes into a session
 
 
 class SinkError(MarkerbridgeError):
@@ -25,12 +29,13 @@ class SinkContext:
     """What a sink may know of the session.
 
     truth: the true pose (M, 3) of a frame index where the simulator sent it, else None. rate: the
-    stream's, in Hz; set when its layout is known.
+    stream's, in Hz; set when its layout is known. model: its file; set when the session begins.
     """
 
     info: ModelInfo
     truth: Callable[[int], Floats | None]
     rate: float = 120.0
+    model: Path | None = None
 
 
 class Sink(ABC):
@@ -38,15 +43,21 @@ class Sink(ABC):
 
     waiting: how many poses may wait for it before the oldest is dropped (and counted); None: any
     number, nothing is dropped. rate: most poses a second; beyond it the newest wins. 0: no limit.
+    records: whether it is also told all that comes in, by `record`.
     """
 
     name: str
     waiting: int | None = 120
     rate: float = 0.0
+    records: bool = False
 
     @abstractmethod
     def __call__(self, pose: Pose) -> None:
         """Sends or stores a pose. Raises OSError or SinkError where it cannot."""
+
+    def record(self, came: Input) -> None:
+        """Stores what came in. Raises OSError where it cannot."""
+        raise NotImplementedError
 
     @abstractmethod
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""markerbridge's own serial wire: COBS packets ended by 0x00 (docs/wires.md).
+"""markerbridge's own serial wire: COBS packets ended by 0x00, best with one before as well.
 
 Packet, before COBS, little endian, ended by the CRC-32 (zlib) of all bytes before it:
 
@@ -23,6 +23,7 @@ from cobs import cobs
 
 from drivers.frame import Floats, Layout, MarkerFrame
 from drivers.url import Url
+from drivers.wire.packets import PacketBuffer
 
 FRAME = "cmu"  # metres, Z up
 
@@ -38,6 +39,11 @@ _CRC = struct.Struct("<I")
 def _seal(packet: bytes) -> bytes:
     encoded: bytes = cobs.encode(packet + _CRC.pack(zlib.crc32(packet)))
     return encoded + b"\0"
+
+
+def _sent(packet: bytes) -> bytes:
+    # The leading end closes whatever came before: a packet that was cut swallows no good one.
+    return b"\0" + _seal(packet)
 
 
 class CobsEncoder:
@@ -60,7 +66,7 @@ class CobsEncoder:
         if len(labels) > 255 or any(not 1 <= len(label) <= 255 for label in labels):
             raise ValueError("at most 255 markers, with labels of 1 to 255 ASCII characters")
         head = _LAYOUT_HEAD.pack(VERSION, LAYOUT | self._number << 4, len(labels), layout.rate)
-        return _seal(head + b"".join(bytes([len(label)]) + label for label in labels))
+        return _sent(head + b"".join(bytes([len(label)]) + label for label in labels))
 
     def encode_frame(self, index: int, t_device: float, xyz: Floats) -> bytes:
         """A data packet; `encode_layout` comes first."""
@@ -73,7 +79,7 @@ class CobsEncoder:
             round(t_device * 1e6) & 0xFFFFFFFFFFFFFFFF,
         )
         bitmap = np.packbits(present, bitorder="little").tobytes()
-        return _seal(head + bitmap + xyz[present].astype("<f4").tobytes())
+        return _sent(head + bitmap + xyz[present].astype("<f4").tobytes())
 
     def has_hello(self, data: bytes) -> bool:
         joined = self._tail + data
@@ -89,36 +95,29 @@ class CobsDecoder:
     `overlong`, `no_layout` and `layout_mismatch`; whatever it met, it reads the next good packet.
     """
 
-    hello = b"\0" + HELLO_PACKET  # the leading end closes whatever noise came before
+    hello = b"\0" + HELLO_PACKET
 
     def __init__(self) -> None:
         self.layout: Layout | None = None
         self.counters: Counter[str] = Counter()
         self._number = -1
-        self._buffer = b""
-        self._skipping = False
+        self._buffer = PacketBuffer(b"\0", MAX_PACKET)
 
     def reset(self) -> None:
         # What comes back may be another device, which numbers its layouts from the start again.
         self.layout = None
         self._number = -1
-        self._buffer = b""
-        self._skipping = False
+        self._buffer.clear()
 
     def feed(self, data: bytes, t: float) -> list[MarkerFrame]:
-        *packets, self._buffer = (self._buffer + data).split(b"\0")
         frames = []
-        for packet in packets:
-            if self._skipping:
-                self._skipping = False
+        for packet in self._buffer.feed(data):
+            if packet is None:
+                self.counters["overlong"] += 1
             elif packet:
                 frame = self._read(packet, t)
                 if frame is not None:
                     frames.append(frame)
-        if len(self._buffer) > MAX_PACKET:
-            self.counters["overlong"] += not self._skipping
-            self._buffer = b""
-            self._skipping = True
         return frames
 
     def _read(self, encoded: bytes, t: float) -> MarkerFrame | None:

@@ -1,29 +1,43 @@
 """markerbridge's own OSC dialect: one message a frame (docs/wires.md).
 
     /markerbridge/layout  d rate in Hz, then s per label
-    /markerbridge/frame   i index, d device time in seconds, then f f f metres per marker, NaN
-                          where it is missing
+    /markerbridge/frame   i index, i check of the labels, d device time in seconds, then f f f
+                          metres per marker, NaN where it is missing
 
 The layout comes before the first frame and then once a second; there is no way back, so no hello.
+The check is the CRC-32 (as zlib's) of all labels in order, each ended by a zero byte: a frame whose
+layout was lost is never read with the labels of another. A sender may leave it out.
 """
 
 from __future__ import annotations
 
 import struct
+import zlib
 from collections import Counter
+from collections.abc import Iterable
 
 import numpy as np
-from pythonosc.osc_message_builder import OscMessageBuilder
 
-from drivers.frame import Floats, Layout, MarkerFrame, in_range
+from drivers.frame import Floats, Layout, MarkerFrame
 from drivers.url import Url
-from drivers.wire.osc import OscError, OscMessage, arguments, messages
+from drivers.wire.assembler import MOST
+from drivers.wire.osc import OscError, OscMessage, arguments, build, label_of, messages
 
 FRAME = "cmu"  # metres, Z up
 
 LAYOUT_ADDRESS = "/markerbridge/layout"
 FRAME_ADDRESS = "/markerbridge/frame"
-_HEAD = struct.Struct(">id")
+_HEAD = struct.Struct(">iId")
+# Index, check and time, as their type tags say. Senders without doubles (TouchDesigner) write the
+# time as a float.
+_HEADS = {
+    head: struct.Struct(">" + head.replace("ii", "iI")) for head in ("iid", "iif", "id", "if")
+}
+
+
+def check_of(labels: Iterable[str]) -> int:
+    """The check of a layout's labels, 32 bits."""
+    return zlib.crc32(b"".join(label.encode() + b"\0" for label in labels))
 
 
 class NativeOscEncoder:
@@ -31,25 +45,21 @@ class NativeOscEncoder:
 
     def __init__(self) -> None:
         self._prefix = b""
+        self._check = 0
 
     def encode_layout(self, layout: Layout) -> bytes:
-        builder = OscMessageBuilder(LAYOUT_ADDRESS)
-        builder.add_arg(float(layout.rate), "d")
-        for label in layout.labels:
-            builder.add_arg(label, "s")
-        prototype = OscMessageBuilder(FRAME_ADDRESS)
-        prototype.add_arg(0, "i")
-        prototype.add_arg(0.0, "d")
-        for _ in range(3 * len(layout.labels)):
-            prototype.add_arg(0.0, "f")
-        datagram = prototype.build().dgram
+        prototype = build(
+            FRAME_ADDRESS, ("i", 0), ("i", 0), ("d", 0.0), *[("f", 0.0)] * (3 * len(layout.labels))
+        )
         # Address and type tags never change with the frame: only what follows them is made anew.
-        self._prefix = datagram[: len(datagram) - _HEAD.size - 12 * len(layout.labels)]
-        return builder.build().dgram
+        self._prefix = prototype[: len(prototype) - _HEAD.size - 12 * len(layout.labels)]
+        self._check = check_of(layout.labels)
+        return build(LAYOUT_ADDRESS, ("d", layout.rate), *(("s", name) for name in layout.labels))
 
     def encode_frame(self, index: int, t_device: float, xyz: Floats) -> bytes:
         """One datagram; `encode_layout` comes first."""
-        return self._prefix + _HEAD.pack(index & 0x7FFFFFFF, t_device) + xyz.astype(">f4").tobytes()
+        head = _HEAD.pack(index & 0x7FFFFFFF, self._check, t_device)
+        return self._prefix + head + xyz.astype(">f4").tobytes()
 
     def has_hello(self, data: bytes) -> bool:
         return False
@@ -57,7 +67,7 @@ class NativeOscEncoder:
 
 class NativeOscDecoder:
     """Datagrams to frames. Counts `bad_osc`, `bad_packet`, `foreign` (well-formed OSC that is not
-    ours), `no_layout`, `layout_mismatch`, and markers `out_of_range`.
+    ours), `no_layout` and `layout_mismatch`.
     """
 
     hello = b""
@@ -65,6 +75,7 @@ class NativeOscDecoder:
     def __init__(self) -> None:
         self.layout: Layout | None = None
         self.counters: Counter[str] = Counter()
+        self._check = 0
 
     def reset(self) -> None:
         self.layout = None
@@ -92,34 +103,34 @@ class NativeOscDecoder:
 
     def _read_layout(self, message: OscMessage) -> None:
         rate, *labels = arguments(message)
-        if not isinstance(rate, (int, float)) or not labels or not all(labels):
+        if not isinstance(rate, (int, float)) or not labels:
             raise ValueError("layout is a rate and labels")
-        layout = Layout(tuple(str(label) for label in labels), float(rate))
-        if set(message.types[1:]) != {"s"}:
-            raise ValueError("labels are strings")
+        if len(labels) > MOST:
+            raise ValueError(f"more than {MOST} labels")
+        names = tuple(label_of(label) for label in labels)
+        layout = Layout(names, float(rate))
         if layout != self.layout:
             self.layout = layout
+            self._check = check_of(names)
         self.counters["layouts"] += 1
 
     def _read_frame(self, message: OscMessage, t: float) -> MarkerFrame | None:
-        # Senders without doubles (TouchDesigner) write the time as a float.
-        head = message.types[:2]
-        if head not in ("id", "if") or message.types[2:].strip("f"):
-            raise ValueError("frame is an int, a double and floats")
-        index, t_device = struct.unpack_from(">" + head, message.data)
-        values = np.frombuffer(message.data[4 + (8 if head == "id" else 4) :], ">f4")
+        head = message.types[: 3 if message.types.startswith("ii") else 2]
+        floats = message.types[len(head) :]
+        if head not in _HEADS or floats.strip("f"):
+            raise ValueError("frame is one or two ints, a double and floats")
+        index, *check, t_device = _HEADS[head].unpack_from(message.data)
+        values = np.frombuffer(message.data[_HEADS[head].size :], ">f4")
         xyz = values.reshape(-1, 3).astype(np.float32)
-        if 3 * len(xyz) != len(message.types) - 2 or not np.isfinite(t_device):
+        if len(values) != len(floats) or not np.isfinite(t_device):
             raise ValueError("frame of another length than its type tags")
         if self.layout is None:
             self.counters["no_layout"] += 1
             return None
-        if len(xyz) != len(self.layout.labels):
+        if len(xyz) != len(self.layout.labels) or check not in ([], [self._check]):
             self.counters["layout_mismatch"] += 1
             return None
-        there = in_range(xyz).all(axis=1)
-        self.counters["out_of_range"] += int((~there & ~np.isnan(xyz).any(axis=1)).sum())
-        xyz[~there] = np.nan
+        xyz[~np.isfinite(xyz).all(axis=1)] = np.nan
         return MarkerFrame(index, t, t_device, self.layout, xyz)
 
 

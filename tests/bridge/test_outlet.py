@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from bridge.pose import Pose
-from bridge.sinks.outlet import Outlet
-from bridge.sinks.sink import Sink, SinkError
+from bridge.sinks.outlet import Outlet, Tap
+from bridge.sinks.sink import Input, Sink, SinkError
 from drivers.clock import SYSTEM_CLOCK, VirtualClock
+from drivers.session_log import FOUND, LOST, LineBytes, LineEvent
+from drivers.transport import Received
 
 EMPTY = np.zeros((0, 3), np.float32)
 
@@ -58,6 +60,42 @@ def test_a_recorder_gets_every_pose_however_slow_it_is() -> None:
     assert gate.taken == list(range(500))
     assert outlet.counters == {"sent": 500}
     assert gate.closed == 1
+
+
+class Recorder(Gate):
+    """A gate that keeps what it is told of what comes in, between the poses."""
+
+    records = True
+
+    def record(self, came: Input) -> None:
+        assert isinstance(came, LineBytes)
+        self.taken.append(int(came.received.data))
+
+
+def test_what_comes_in_is_recorded_in_its_place_however_slow_the_disk() -> None:
+    recorder = Recorder(None)
+    outlet = Outlet(recorder, SYSTEM_CLOCK)
+    outlet.start()
+    outlet.put(pose(0))
+    assert recorder.holds.wait(5)
+    tap = Tap("source", [outlet])
+    for index in range(1, 400, 2):
+        tap.received("serial:/dev/x", Received(b"%d" % index, 0.0))
+        outlet.put(pose(index + 1))
+    recorder.let.release(400)
+    outlet.close()
+    assert recorder.taken == list(range(401))
+    assert outlet.counters == {"sent": 201, "recorded": 200}
+
+
+def test_a_line_that_is_lost_and_found_is_recorded_under_its_name() -> None:
+    told: list[Input] = []
+    recorder = Recorder()
+    recorder.record = told.append  # type: ignore[method-assign]
+    tap = Tap("truth", [Outlet(recorder, SYSTEM_CLOCK)])
+    tap.lost("osc://127.0.0.1:1", 3.0)
+    tap.found("osc://127.0.0.1:1", 4.0)
+    assert told == [LineEvent("truth", 3.0, LOST), LineEvent("truth", 4.0, FOUND)]
 
 
 def test_the_newest_pose_wins_where_one_may_wait() -> None:

@@ -12,10 +12,11 @@ from bridge.estimator import PoseEstimator
 from bridge.model import Model
 from bridge.pose import Pose
 from bridge.session import Session
-from bridge.sinks.sink import Sink, SinkContext, SinkError
+from bridge.sinks.sink import Input, Sink, SinkContext, SinkError
 from drivers.c3d_file import C3dSource, Clip
 from drivers.clock import SYSTEM_CLOCK
 from drivers.frame import Layout, MarkerFrame, Source, SourceError
+from drivers.session_log import LineEvent
 
 MODEL = Model("default")
 LAYOUT = Layout(MODEL.info.tracked, 120.0)
@@ -129,13 +130,40 @@ def test_one_sink_that_cannot_save_does_not_keep_the_others_from_it() -> None:
     running.close()
 
 
-def test_lost_frames_are_seen_by_their_indices() -> None:
+def test_frames_that_never_came_are_those_that_the_source_counts() -> None:
     class Holed(Flood):
         def _receive(self, timeout: float) -> Iterable[MarkerFrame]:
             frames = super()._receive(timeout)
+            self.counters["missing"] = 3
             return [frame for frame in frames if frame.index not in (7, 8, 20)]
 
     running = session(Holed(40))
     running.run(threading.Event())
     assert running.status().missing_indices == 3
     running.close()
+
+
+def test_what_records_is_told_every_frame_even_those_that_overflow() -> None:
+    class Record(Keep):
+        records = True
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.frames: list[int] = []
+            self.opened: list[tuple[str, str]] = []
+
+        def record(self, came: Input) -> None:
+            if isinstance(came, MarkerFrame):
+                self.frames.append(came.index)
+            elif isinstance(came, LineEvent):
+                self.opened.append((came.source, came.address))
+
+    record = Record()
+    running = session(Flood(3000), record)
+    running.run(threading.Event())
+    running.close()
+    overflow = running.status().source["fifo_overflow"]
+    assert overflow > 0
+    assert len(record.indices) == 3000 - overflow
+    assert sorted(record.frames) == list(range(3000))
+    assert record.opened == [("source", "flood")]

@@ -13,7 +13,8 @@ from drivers.frame import Layout
 from drivers.url import Url, UrlError
 
 # One metre to the right, to the front, and up. Sources: C3D file format guide; REP 103 (ros.org);
-# OpenGL's and OpenVR's right-handed eye and tracking spaces; the manuals of Unity and Unreal.
+# OpenGL's and OpenVR's right-handed eye and tracking spaces; the manuals of Unity, Unreal and
+# Polhemus (hemispheres: +X forward, +Y right, +Z lower).
 GOLDEN = {
     "cmu": [(1, 0, 0), (0, 1, 0), (0, 0, 1)],
     "c3d": [(1000, 0, 0), (0, 1000, 0), (0, 0, 1000)],
@@ -22,6 +23,7 @@ GOLDEN = {
     "steamvr": [(1, 0, 0), (0, 0, -1), (0, 1, 0)],
     "unity": [(1, 0, 0), (0, 0, 1), (0, 1, 0)],
     "unreal": [(0, 100, 0), (100, 0, 0), (0, 0, 100)],
+    "fastrak": [(0, 1 / 0.0254, 0), (1 / 0.0254, 0, 0), (0, 0, -1 / 0.0254)],
 }
 LEFT_HANDED = {"unity", "unreal"}
 

@@ -57,6 +57,15 @@ def test_whatever_was_on_the_line_the_next_good_frame_is_read(noise, data) -> No
     assert frame.index == 2
 
 
+@given(st.integers(2, 60))
+def test_a_frame_that_was_cut_swallows_no_good_one(lost: int) -> None:
+    encoder, decoder = CobsEncoder(), CobsDecoder()
+    decoder.feed(encoder.encode_layout(LAYOUT), 0.0)
+    assert decoder.feed(encoder.encode_frame(1, 0.0, XYZ)[:-lost], 0.0) == []
+    (frame,) = decoder.feed(encoder.encode_frame(2, 0.0, XYZ), 0.0)
+    assert frame.index == 2
+
+
 @pytest.mark.parametrize(
     ("name", "spoil"),
     [
@@ -76,7 +85,7 @@ def test_each_kind_of_bad_packet_is_counted_under_its_name(name, spoil) -> None:
 
     encoder, decoder = CobsEncoder(), CobsDecoder()
     decoder.feed(encoder.encode_layout(LAYOUT), 0.0)
-    body = cobs.decode(encoder.encode_frame(1, 0.0, XYZ)[:-1])[:-4]
+    body = cobs.decode(encoder.encode_frame(1, 0.0, XYZ)[1:-1])[:-4]
     sealed = body + zlib.crc32(body).to_bytes(4, "little")
     spoilt = spoil(sealed)
     if name != "bad_crc":  # a sender that means what it says: its checksum is right

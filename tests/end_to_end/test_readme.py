@@ -38,13 +38,14 @@ SIMULATE = block("simulate performer:walk")
 SESSION = block("take.c3d")
 REPLAY = block("captures/walk.c3d")
 ENGINE = block("vmc://")
+TROUBLE = block("markerbridge doctor")
 MODEL = block("markerbridge train")
 FETCH = block("markerbridge fetch")
 CALIBRATE = block("markerbridge calibrate")
 
 
 def test_no_command_of_the_readme_is_left_out() -> None:
-    assert set(BLOCKS[2:]) == {SIMULATE, SESSION, REPLAY, ENGINE, MODEL, FETCH, CALIBRATE}
+    assert set(BLOCKS[2:]) == {SIMULATE, SESSION, TROUBLE, REPLAY, ENGINE, MODEL, FETCH, CALIBRATE}
     for setting_up in BLOCKS[:2]:
         assert "apt-get install" in setting_up
         assert "pip install -c requirements.lock" in setting_up
@@ -101,6 +102,16 @@ def test_a_live_session_with_the_simulated_tracker(command: str, tmp_path: Path)
         interrupted(device)
     if command == SESSION:
         assert (tmp_path / "take.c3d").stat().st_size > 10_000
+
+
+def test_a_session_looked_into_recorded_and_played_again(tmp_path: Path) -> None:
+    with shell(SIMULATE, tmp_path):
+        wait_for((tmp_path / "tracker").is_symlink, "the serial port")
+        with shell(f"set -e\n{TROUBLE}", tmp_path) as commands:
+            output = finished(commands, 90)
+    assert f"serial:{tmp_path}/tracker" in output
+    assert (tmp_path / "again.c3d").stat().st_size > 100_000
+    assert len((tmp_path / "session.csv").read_text().splitlines()) > 300
 
 
 def test_a_replay_with_its_summary(data_dir: Path, tmp_path: Path) -> None:

@@ -1,0 +1,1 @@
+"""`markerbridge doctor`: listens to a source and says what is wrong with it, and what mends it."""
