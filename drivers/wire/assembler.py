@@ -21,7 +21,10 @@ STEADY = 3  # whole frames in one order after which that is the order
 ASSUMED = 120.0  # Hz, until the rate is known
 MEASURE = 1.0  # s over which the rate is measured
 CHANGED = 0.05  # share by which the rate has to differ to be another one
-USUAL = (24, 25, 30, 48, 50, 60, 72, 75, 90, 100, 120, 144, 150, 180, 200, 240, 250, 300, 360, 400)
+USUAL = (
+    *(24, 25, 30, 48, 50, 60, 72, 75, 90, 100, 120, 144, 150, 180, 200, 240, 250, 300, 360, 400),
+    *(480, 500, 1000),
+)
 ROUND = 0.02  # share within which a measured rate is a usual one
 
 _NOWHERE = (math.nan,) * 3

@@ -11,8 +11,9 @@ a record holds is the tracker's output list, in the maker's numbers (his command
              u8, size of the list u16, then the list: float32, u32. Replies look alike.
 
 Binary is little endian; item 1 of the list is a carriage return and line feed in both formats.
-Sources: the maker's FASTRAK user manual (OPM00PI002 rev. G, 2012: commands C, f, l, O, S and the
-system data record) and LIBERTY user manual (URM03PH156: binary response format).
+Source: the maker's FASTRAK user manual (OPM00PI002 rev. G, 2012: commands C, f, l, O, S and the
+system data record). LIBERTY's records are as programs in use read them (VRPN and others); as the
+columns of its text are not certain, any width and precision is taken.
 """
 
 from __future__ import annotations

@@ -13,6 +13,7 @@ from drivers.wire.registry import CODECS, DIALECTS, take_decoder
 
 ENOUGH = 5  # packets that have to make sense
 SPOILT = 0.5  # share of those that make none, at most
+ALIKE = 0.05  # share by which what a more usual wire makes of the bytes may be less
 MOST = 2000  # packets, or reads of a line, that are tried
 _VARIANTS = {
     "slip-osc": [{"dialect": name} for name in DIALECTS if name != "native"],
@@ -42,7 +43,9 @@ def guess_wire(scheme: str, received: Iterable[Received]) -> Guess | None:
     """
     chunks = list(islice(received, MOST))
     guesses = [_try(scheme, options, chunks) for options in wires(scheme)]
-    best = max(guesses, key=lambda guess: guess.good - guess.bad)
+    most = max(guess.good - guess.bad for guess in guesses)
+    # Of wires that are much alike the more usual one, unless another makes clearly more of it.
+    best = next(guess for guess in guesses if most - guess.good + guess.bad <= ALIKE * abs(most))
     if best.good < ENOUGH or best.bad > SPOILT * (best.good + best.bad):
         return None
     return best

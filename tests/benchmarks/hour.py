@@ -7,14 +7,12 @@ became of every packet, and whether it adds up.
 Of the packets that the device makes (frames and layouts, and copies of them), each
 
 1. is lost on the way (`loss`), finds no line (`no_line`), or a line that nobody has open
-   (`unread`), or is `spoilt`, or it arrives whole;
+   (`unread`), or is `spoilt`, or `unended` (it lost no more than its end mark), or arrives whole;
 2. if it arrives whole, it is a frame that is delivered, a layout, a copy of a frame that came
-   before (`duplicates`), a frame whose turn was past (`late`), one before the first layout or of
-   another (`no_layout`, `layout_mismatch`), or it is `swallowed`: a spoilt packet before it had
-   lost its end, so that the two were one. What is swallowed is nowhere counted, but it may only be
-   packets right behind a spoilt one, and those were counted here.
+   before (`duplicates`), a frame whose turn was past (`late`), or one before the first layout or
+   of another (`no_layout`, `layout_mismatch`). So is an unended one if the next closes it.
 
-Both sums have to agree, no frame may come out that did not arrive whole, and none twice. On wires
+Both sums have to agree, no frame may come out that did not arrive, and none twice. On wires
 without a checksum a spoilt packet may be read: there the second sum is not asked for.
 """
 
@@ -51,6 +49,7 @@ RATE = 120.0
 REORDER = 2  # frames, as the faults overtake
 CHECKED = ("cobs",)  # codecs with a checksum
 WARM_UP = 30.0  # s of the stream after which memory has its size
+END = b"\0"  # of a packet, of codecs with a checksum
 KEPT = 4096  # packets that may be under way
 
 PLAN = """
@@ -80,7 +79,7 @@ for = 0.2
 [[fault]]
 kind = "ghost"
 marker = "RANK"
-label = "*7"
+label = "ghost"
 chance = 0.001
 for = 0.3
 [[fault]]
@@ -133,13 +132,12 @@ every = 61
 class Ledger:
     """What arrived, told by its bytes: those of a whole packet are as they were encoded."""
 
-    whole: bytearray  # per frame index, whether it arrived whole
-    arrived: int = 0  # whole packets, copies among them
-    behind_spoilt: int = 0  # of those, right behind a spoilt one
+    there: bytearray  # per frame index, whether it arrived, whole or unended
+    whole: int = 0  # packets, copies among them
+    unended: int = 0
     spoilt: int = 0
     unread: int = 0
     _made: dict[bytes, int | None] = field(default_factory=dict)
-    _after_spoilt: bool = False
 
     def note(self, packet: bytes, index: int | None) -> None:
         """A packet was encoded: that of a frame, or a layout (None)."""
@@ -150,16 +148,17 @@ class Ledger:
 
     def take(self, packet: bytes) -> None:
         """A packet has arrived on the line."""
-        if packet not in self._made:
+        if packet in self._made:
+            self.whole += 1
+            index = self._made[packet]
+        elif packet + END in self._made:
+            self.unended += 1
+            index = self._made[packet + END]
+        else:
             self.spoilt += 1
-            self._after_spoilt = True
             return
-        self.arrived += 1
-        self.behind_spoilt += self._after_spoilt
-        self._after_spoilt = False
-        index = self._made[packet]
         if index is not None:
-            self.whole[index] = True
+            self.there[index] = True
 
 
 class LedgerEncoder:
@@ -212,11 +211,10 @@ class Outcome:
     wrong: list[str] = field(default_factory=list)
 
     @property
-    def swallowed(self) -> int:
-        """Whole packets that neither came out nor were counted by the host."""
+    def read(self) -> int:
+        """Packets that the host made out."""
         names = ("layouts", "duplicates", "late", "no_layout", "layout_mismatch")
-        known = self.delivered + sum(self.host[name] for name in names)
-        return self.ledger.arrived - known
+        return self.delivered + sum(self.host[name] for name in names)
 
 
 class _Records(logging.Handler):
@@ -239,7 +237,11 @@ def play(minutes: float, codec: str = "cobs", plan: str = PLAN) -> Outcome:
     faults = FaultChain(parse_plan(plan, labels), Layout(labels, RATE))
     ledger = Ledger(bytearray(frames))
     line = LedgerLine(clock, ledger)
-    url = Url.parse(f"serial:hour?codec={codec}")
+    address = f"serial:hour?codec={codec}"
+    if codec == "fastrak":  # it has numbers in place of labels
+        stations = enumerate(faults.layout.labels, 1)
+        address += "&labels=" + ",".join(f"{number}:{label}" for number, label in stations)
+    url = Url.parse(address)
     decoder, convention = take_decoder(url)
     encoder, _ = take_encoder(Url.parse(url.text))
     source = WireSource(
@@ -268,8 +270,8 @@ def play(minutes: float, codec: str = "cobs", plan: str = PLAN) -> Outcome:
                 if codec in CHECKED:
                     if delivered[frame.index]:
                         wrong.append(f"frame {frame.index} came out twice")
-                    if not ledger.whole[frame.index]:
-                        wrong.append(f"frame {frame.index} came out, but did not arrive whole")
+                    if not ledger.there[frame.index]:
+                        wrong.append(f"frame {frame.index} came out, but did not arrive")
                     delivered[frame.index] = True
                 if not warm and clock.now() > 1000.0 + WARM_UP:
                     warm = _memory()
@@ -296,13 +298,14 @@ def _check(outcome: Outcome, codec: str) -> None:
     """Adds what does not add up to `wrong`."""
     did, ledger, wrong = outcome.device, outcome.ledger, outcome.wrong
     made = did["packets"] + did["duplicate"]
-    ended = did["loss"] + did["no_line"] + ledger.unread + ledger.spoilt + ledger.arrived
+    arrived = ledger.whole + ledger.unended + ledger.spoilt
+    ended = did["loss"] + did["no_line"] + ledger.unread + arrived
     if made != ended:
         wrong.append(f"{made} packets were made, but {ended} have an end")
-    if codec in CHECKED and not 0 <= outcome.swallowed <= ledger.behind_spoilt:
+    if codec in CHECKED and not 0 <= outcome.read - ledger.whole <= ledger.unended:
         wrong.append(
-            f"{outcome.swallowed} whole packets are not accounted for, of which at most "
-            f"{ledger.behind_spoilt} can have been swallowed"
+            f"{ledger.whole} packets arrived whole and {ledger.unended} without their ends, but "
+            f"{outcome.read} were read"
         )
     if outcome.poses != outcome.delivered:
         wrong.append(f"{outcome.delivered} frames gave {outcome.poses} poses")
@@ -322,9 +325,10 @@ def table(outcome: Outcome) -> str:
         *((f"device: {name}", count) for name, count in sorted(outcome.device.items())),
         ("line: unread", outcome.ledger.unread),
         ("line: spoilt", outcome.ledger.spoilt),
-        ("line: arrived whole", outcome.ledger.arrived),
+        ("line: unended", outcome.ledger.unended),
+        ("line: arrived whole", outcome.ledger.whole),
         *((f"host: {name}", count) for name, count in sorted(outcome.host.items())),
-        ("swallowed by spoilt packets", outcome.swallowed),
+        ("host: packets read", outcome.read),
         ("log records", len(outcome.records)),
     ]
     lines = [f"| {name} | {count:,} |" for name, count in rows]

@@ -20,7 +20,8 @@ from drivers.osc_udp import UdpTransport
 from drivers.registry import open_source
 from drivers.serial_port import SerialTransport
 from drivers.transport import Transport, TransportLost
-from drivers.wire.registry import CODECS, DIALECTS
+from drivers.url import Url
+from drivers.wire.registry import CODECS, DIALECTS, take_decoder
 from tests.drivers.mutations import address
 from tests.end_to_end.peers import free_port
 
@@ -76,12 +77,14 @@ def measure(name: str, path: Path, seconds: float, *, reads: bool) -> tuple[int,
     return sent, read, last - first, cpu
 
 
-def _open(where: str, path: Path, port: int, *, reads: bool) -> Source | Transport:
+def _open(where: str, path: Path, udp: int, *, reads: bool) -> Source | Transport:
     if reads:
         return open_source(where)
     if where.startswith("serial:"):
-        return SerialTransport(str(path), 921_600, SYSTEM_CLOCK)
-    return UdpTransport("127.0.0.1", port, SYSTEM_CLOCK)
+        port = SerialTransport(str(path), 921_600, SYSTEM_CLOCK)
+        port.send(take_decoder(Url.parse(where))[0].hello)
+        return port
+    return UdpTransport("127.0.0.1", udp, SYSTEM_CLOCK)
 
 
 def _listen(end: Source | Transport) -> tuple[int, float, float, float]:

@@ -249,9 +249,9 @@ def test_no_packet_with_a_flipped_bit_is_delivered_and_each_is_counted(bits: int
     assert played.device.counters["spoilt"] == flipped > 300
     np.testing.assert_array_equal(seen(played), truth(played))
     counters = played.source.counters
-    # A bit in the end mark joins two packets, a new end mark makes two of one.
-    assert 0.9 * flipped <= counters["bad_crc"] + counters["bad_cobs"] <= (1 + bits) * flipped
-    assert 0 <= 3600 - len(played.frames) - flipped + (30 - counters["layouts"]) < 0.05 * flipped
+    # A bit may make an end mark, and two packets of one.
+    assert flipped <= counters["bad_crc"] + counters["bad_cobs"] <= (1 + bits) * flipped
+    assert 3600 - len(played.frames) - flipped + (30 - counters["layouts"]) == 0
 
 
 def test_over_udp_each_truncated_packet_is_counted_and_no_other_harmed() -> None:
@@ -265,12 +265,13 @@ def test_over_udp_each_truncated_packet_is_counted_and_no_other_harmed() -> None
     np.testing.assert_array_equal(seen(played), truth(played))
 
 
-def test_on_a_serial_line_a_truncated_packet_takes_at_most_the_next_with_it() -> None:
+def test_on_a_serial_line_a_truncated_packet_is_lost_alone() -> None:
     played = play(one("truncate", chance=0.05), 30.0)
     cut, counters = played.device.counters["truncate"], played.source.counters
     lost = played.device.counters["packets"] - len(played.frames) - counters["layouts"]
-    assert cut < lost <= 2 * cut
-    assert counters["bad_crc"] + counters["bad_cobs"] >= cut / 2
+    # One that lost no more than its end mark is closed by the next one's beginning.
+    assert 0.9 * cut < lost <= cut
+    assert lost <= counters["bad_crc"] + counters["bad_cobs"] + 0.05 * cut  # or all but a byte
     np.testing.assert_array_equal(seen(played), truth(played))
 
 
