@@ -1,13 +1,14 @@
 """Spoilt packets by the million: `python -m tests.benchmarks.mutations [--count N] [WIRE ...]`.
 
-Each wire gets so many; the OSC dialects share as many among them, as they share the corpus. Fails
-where a packet was not accounted for, cost over 10 ms of CPU, or kept a good one from being read.
+Each codec gets so many, shared by its variants; so do the OSC dialects among them, as they share the
+corpus. Fails where a packet was not accounted for, cost over 10 ms of CPU, or kept a good one from being read.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 
 from drivers.wire.registry import DIALECTS
@@ -21,7 +22,8 @@ def main() -> int:
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("wires", nargs="*", metavar="WIRE", default=list(ADDRESSES))
     options = parser.parse_args()
-    counts = [options.count // (len(DIALECTS) if n in DIALECTS else 1) for n in options.wires]
+    shares = Counter(_family(name) for name in ADDRESSES)
+    counts = [options.count // shares[_family(name)] for name in options.wires]
     seeds = [options.seed] * len(counts)
     print(f"{'wire':15}{'packets':>9}{'not told':>9}{'deaf':>6}{'slow':>6}{'memory':>9}{'each':>8}")
     failed = False
@@ -31,6 +33,12 @@ def main() -> int:
             _tell(name, outcome)
             failed |= bool(outcome.unaccounted or outcome.deaf_after or outcome.slow)
     return int(failed)
+
+
+def _family(name: str) -> str:
+    """The codec of a wire, by the beginning of its address; all dialects are one."""
+    address = ADDRESSES[name]
+    return "osc" if name in DIALECTS else address.partition("codec=")[2].partition("&")[0]
 
 
 def _tell(name: str, outcome: Outcome) -> None:
