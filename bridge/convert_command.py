@@ -79,7 +79,8 @@ def main(argv: list[str]) -> int:
                 _write_csv(parts[0], recording, rows(), world, full=options.full)
             whole.close()
         except OSError as error:
-            raise MarkerbridgeError(f"cannot write {options.out}: {error}") from error
+            reason = error.strerror or error
+            raise MarkerbridgeError(f"cannot write {options.out}: {reason}") from error
     console.print(
         f"{recording.rows} frames of {len(recording.layout.labels)} markers at "
         f"{recording.layout.rate:g} Hz in {', '.join(map(str, paths))}",

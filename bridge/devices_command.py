@@ -8,6 +8,7 @@ import shlex
 import sys
 from dataclasses import asdict
 
+from bridge import terminal
 from drivers.options import checked, positive
 from drivers.serial_devices import BAUDS, Identity, identify_all, ports
 
@@ -17,18 +18,16 @@ def main(argv: list[str]) -> int:
     options = _parser().parse_args(argv)
     found = ports(options.ports)
     if found and not options.json:
-        print(
-            f"listening on {len(found)} ports for {options.listen * len(BAUDS):g} s at most",
-            file=sys.stderr,
-        )
+        count = "a port" if len(found) == 1 else f"{len(found)} ports"
+        seconds = options.listen * len(BAUDS)
+        print(f"listening on {count} for {seconds:g} s at most", file=sys.stderr)
     findings = identify_all(found, options.listen)
     if options.json:
-        print(json.dumps([asdict(finding) for finding in findings]))
+        terminal.answer(json.dumps([asdict(finding) for finding in findings]))
     elif not findings:
-        print("no serial port is there: is the device plugged in? Other ports can be named")
+        terminal.answer("no serial port is there: is the device plugged in? Others can be named")
     else:
-        for finding in findings:
-            print(_line(finding))
+        terminal.answer("\n".join(map(_line, findings)))
     return 0
 
 

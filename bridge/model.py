@@ -18,17 +18,21 @@ logarithms of their standard deviations. All lengths are metres, velocities m/s.
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import asdict, dataclass, field, fields
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnxruntime
 
 from bridge.body_frame import CONSTRUCTIONS, PAPER_FRAME
 from drivers.errors import MarkerbridgeError
 from drivers.frame import Floats
+
+# Else it tells its maker what it is used for (its Privacy.md); it looks once, when it is loaded.
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
+import onnxruntime
 
 FORMAT = 2
 MAX_HISTORY = 240  # frames of 1/120 s

@@ -6,7 +6,6 @@ import argparse
 import contextlib
 import json
 import os
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -47,23 +46,35 @@ def _run(plan: SessionPlan, stop: threading.Event, console: Console, *, as_json:
     title = f"markerbridge run {plan.source.url}"
     report = Report(plan)
     with _status_server(plan, report, console):
-        with contextlib.suppress(Stopped), open_session(plan, Model(plan.model), stop) as session:
-            report.session, report.state = session, "running"
-            shown = (
-                contextlib.nullcontext()
-                if as_json
-                else terminal.shown(console, session.status, title, plan.log.lines)
-            )
-            with shown, watching(session.source.name, session.status, plan.log.every):
-                session.run(stop, plan.seconds)
-            session.close()
-        report.state = "ended"
-        if as_json:
-            _print_json(report())
-        elif report.session:
-            terminal.summarise(console, report.session.status(), f"{title}: ended")
-        else:
-            console.print(f"{title}: ended before its source was there", markup=False)
+        try:
+            with (
+                contextlib.suppress(Stopped),
+                open_session(plan, Model(plan.model), stop) as session,
+            ):
+                report.session, report.state = session, "running"
+                shown = (
+                    contextlib.nullcontext()
+                    if as_json
+                    else terminal.shown(console, session.status, title, plan.log.lines)
+                )
+                with shown, watching(session.source.name, session.status, plan.log.every):
+                    session.run(stop, plan.seconds)
+                session.close()
+        except MarkerbridgeError:
+            if report.session and report.session.last_pose:  # it did something before it failed
+                _summarise(report, title, console, as_json=as_json)
+            raise
+        _summarise(report, title, console, as_json=as_json)
+
+
+def _summarise(report: Report, title: str, console: Console, *, as_json: bool) -> None:
+    report.state = "ended"
+    if as_json:
+        terminal.answer(json.dumps(report()))
+    elif report.session:
+        terminal.summarise(console, report.session.status(), f"{title}: ended")
+    else:
+        console.print(f"{title}: ended before its source was there", markup=False)
 
 
 class Report:
@@ -121,19 +132,6 @@ def _status_server(plan: SessionPlan, report: Report, console: Console) -> Itera
     with StatusServer(plan.status, report) as server:
         console.print(f"status at {server.url}", markup=False, highlight=False)
         yield
-
-
-def _print_json(value: dict[str, Any]) -> None:
-    text = json.dumps(value) + "\n"
-    try:
-        if sys.stdout is None:
-            raise OSError("it is closed")
-        sys.stdout.write(text)
-        sys.stdout.flush()
-    except OSError as error:
-        # Python would try once more at its end, and complain.
-        sys.stdout = None
-        raise MarkerbridgeError(f"cannot write to standard output: {error}") from error
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -5,6 +5,8 @@ are the threads here and in the sinks' outlets.
 from __future__ import annotations
 
 import logging
+import math
+import shlex
 import threading
 from collections import Counter, deque
 from dataclasses import dataclass
@@ -20,7 +22,7 @@ from bridge.statistics import Durations, Mean
 from bridge.truth import Truth, rms_mm
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.frame import Floats, Layout, MarkerFrame, Source, SourceError
-from drivers.log_source import TRUTH, LogSource
+from drivers.log_source import TRUTH, LogFrames, LogSource
 from drivers.session_log import OPENED, LineEvent
 from drivers.wire_source import WireSource
 
@@ -33,15 +35,24 @@ POLL = 0.1  # s between looks at whether to stop
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """A session at one moment, for the terminal and for machines; ages in seconds, errors in mm."""
+    """A session at one moment, for the terminal and for machines; times in seconds, errors in mm.
+
+    age: of a pose when it is estimated, since its frame came. delay: of a frame on the line, more
+    than the quickest of a minute had; None where the device sends no stamps. truth: counters of
+    its source, None where there is none.
+    """
 
     seconds: float
     frames: int
     rate: float
     layout_rate: float | None
+    age_now: float | None
     age_p50: float | None
     age_p99: float | None
     age_max: float | None
+    delay_now: float | None
+    delay_p50: float | None
+    delay_p99: float | None
     rms_mm: float | None  # over all markers, mean of all frames with a known truth
     rms_now_mm: float | None
     imputed_now: tuple[str, ...]
@@ -50,6 +61,7 @@ class Status:
     missing_indices: int
     waiting: int
     source: dict[str, int]
+    truth: dict[str, int] | None
     sinks: dict[str, dict[str, Any]]
 
 
@@ -83,6 +95,7 @@ class Session:
         self._source_error: Exception | None = None
         self._counters: Counter[str] = Counter()
         self._ages = Durations()
+        self._delays = Durations()
         self._rms = Mean()
         self._arrivals: deque[float] = deque(maxlen=240)
         self._layout: Layout | None = None
@@ -106,6 +119,8 @@ class Session:
         for outlet in self._outlets:
             outlet.put(pose)
         self._ages.add(self._clock.now() - frame.t)
+        if not (math.isnan(frame.t_device) or math.isnan(frame.t_mapped)):
+            self._delays.add(frame.t - frame.t_mapped)
         self._count(frame, pose)
         return pose
 
@@ -178,9 +193,13 @@ class Session:
             frames=self._counters["frames"],
             rate=self._recent_rate(),
             layout_rate=self.source.layout.rate if self.source.layout else None,
+            age_now=self._ages.last,
             age_p50=self._ages.quantile(0.50),
             age_p99=self._ages.quantile(0.99),
             age_max=self._ages.maximum if self._ages.count else None,
+            delay_now=self._delays.last,
+            delay_p50=self._delays.quantile(0.50),
+            delay_p99=self._delays.quantile(0.99),
             rms_mm=self._rms.mean,
             rms_now_mm=self._rms.last,
             imputed_now=imputed,
@@ -189,6 +208,7 @@ class Session:
             missing_indices=self.source.counters["missing"],
             waiting=len(self._fifo),
             source=dict(self.source.counters) | {"fifo_overflow": self._counters["fifo_overflow"]},
+            truth=dict(self._truth.source.counters) if self._truth else None,
             sinks={
                 outlet.sink.name: {
                     **{name: outlet.counters[name] for name in ("sent", "dropped", "rate_limited")},
@@ -216,17 +236,25 @@ class Session:
 
     def _adopt(self, layout: Layout) -> None:
         """Takes in a new layout; says which tracked markers the stream does not carry."""
-        tracked = self._context.info.tracked
-        lacking = [label for label in tracked if label not in layout.labels]
-        if len(lacking) == len(tracked) and self._layout is None:
+        info, name = self._context.info, self.source.name
+        lacking = [label for label in info.tracked if label not in layout.labels]
+        foreign = [label for label in layout.labels if label not in info.labels]
+        advice = ""
+        if foreign and not isinstance(self.source, LogFrames):
+            advice = (
+                ": the option labels=THEIRS:OURS,... maps its names to these, and "
+                f"`markerbridge doctor {shlex.quote(name)}` tells which is which"
+            )
+        if len(lacking) == len(info.tracked) and self._layout is None:
             raise SourceError(
-                f"{self.source.name}: none of the markers that the model tracks "
-                f"({', '.join(tracked)}) is among the stream's ({', '.join(layout.labels)})"
+                f"{name}: none of the markers that the model tracks ({', '.join(info.tracked)}) "
+                f"is among the stream's ({', '.join(layout.labels)}){advice}"
             )
         if lacking:
+            others = f", but {', '.join(foreign)}{advice}" if advice else ""
             log.warning(
-                "%s: the stream has no %s; imputed throughout",
-                *(self.source.name, ", ".join(lacking)),
+                "%s: the stream has no %s, imputed throughout%s",
+                *(name, ", ".join(lacking), others),
             )
         self._layout = layout
         self._context.rate = layout.rate

@@ -14,6 +14,7 @@ class Durations:
         self._counts = np.zeros(len(_EDGES) + 1, int)
         self.count = 0
         self.maximum = 0.0
+        self.last: float | None = None
 
     def add(self, seconds: float) -> None:
         """Counts a duration; a negative one (a clip played ahead of its time) is none."""
@@ -21,6 +22,7 @@ class Durations:
             return
         self._counts[np.searchsorted(_EDGES, seconds)] += 1
         self.count += 1
+        self.last = seconds
         self.maximum = max(self.maximum, seconds)
 
     def quantile(self, share: float) -> float | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shlex
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -30,7 +31,7 @@ class Watch:
 
     A source that is lost, silent or there again is told at once; a plug that flaps, less and less
     often, with how often it did. All else that was counted is summed up `every` seconds, a line
-    for the source and one for each sink, if anything went wrong.
+    for the source, the truth and each sink, if anything went wrong.
     """
 
     def __init__(self, source: str, every: float = LOG_EVERY) -> None:
@@ -47,6 +48,8 @@ class Watch:
             return
         self._summed = status.seconds
         self._sum_up(self._source, status.source, "frames", "frames", elapsed)
+        if status.truth:
+            self._sum_up("truth", status.truth, "frames", "frames", elapsed)
         for name, sink in status.sinks.items():
             self._sum_up(name, sink, "sent", "poses", elapsed)
 
@@ -123,11 +126,14 @@ class _Connection:
     def _why(self, counters: Mapping[str, int]) -> str:
         grown = _growth(self._counters, counters)
         count = grown.pop("bytes", 0)
-        if not count:
-            return "nothing comes"
         kinds = {name: number for name, number in grown.items() if name not in CONNECTION}
         found = f" ({_listed(kinds)})" if kinds else ""
-        return f"{count:,} bytes came, but no frame in them{found}"
+        if not count:
+            refused = kinds.get("refused")
+            who = "only packets of senders that the option allow does not name come"
+            return f"{who}{found}" if refused else "nothing comes"
+        doctor = f"`markerbridge doctor {shlex.quote(self._source)}`, in place of this, tells why"
+        return f"{count:,} bytes came, but no frame in them{found}: {doctor}"
 
 
 @contextmanager

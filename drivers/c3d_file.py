@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,13 +12,16 @@ import numpy as np
 
 from drivers.c3d_check import check_c3d
 from drivers.clock import Clock
+from drivers.convention import Convention
+from drivers.coordinates import UNITS
 from drivers.files import whole_file
 from drivers.frame import Floats, Layout, MarkerFrame, Source, SourceError
 from drivers.marker_set import MARKERS
 from drivers.url import Url
 
 MAX_FRAMES = 65_535  # its frame numbers have 16 bits
-_UNITS = {"mm": 1e-3, "cm": 1e-2, "dm": 1e-1, "m": 1.0, "in": 0.0254, "ft": 0.3048}
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,9 +37,26 @@ def read_c3d(path: str | Path, labels: tuple[str, ...] | None = MARKERS) -> Clip
     """Reads the markers `labels` of a C3D file, in that order, in metres; None: those of the
     marker set that are there.
 
-    Label prefixes (`liu:LFIN`) are stripped, further points ignored, units and rate read from the
-    file. A negative residual and a position of exactly (0, 0, 0) both mean missing. Raises
-    SourceError for a file that is no C3D, has no rate, or lacks labels (named).
+    Raises SourceError for a file that is no C3D, has no rate, or lacks labels (named).
+    """
+    clip = read_points(path)
+    rows = {label: row for row, label in enumerate(clip.layout.labels)}
+    if labels is None:
+        labels = tuple(label for label in MARKERS if label in rows)
+    lacking = [label for label in labels or MARKERS if label not in rows]
+    if lacking:
+        raise SourceError(f"{path}: lacks the markers {', '.join(lacking)}")
+    chosen = clip.xyz[:, [rows[label] for label in labels]]
+    return Clip(clip.path, Layout(tuple(labels), clip.layout.rate), chosen)
+
+
+def read_points(path: str | Path) -> Clip:
+    """Reads all points of a C3D file that have a name, in metres and the file's own axes.
+
+    Prefixes (`liu:LFIN`) are stripped; of several points of one name it is the first, and trackers
+    name `*12` what they could not name. Unit and rate are the file's. A negative residual and a
+    position of exactly (0, 0, 0) both mean missing. Raises SourceError for a file that is no C3D or
+    has no rate.
     """
     path = Path(path)
     if not path.is_file():
@@ -56,23 +77,20 @@ def read_c3d(path: str | Path, labels: tuple[str, ...] | None = MARKERS) -> Clip
         residuals = file["data"]["meta_points"]["residuals"][0]
     except (OSError, RuntimeError, ValueError, KeyError, IndexError, MemoryError) as error:
         raise SourceError(f"{path}: not a readable C3D file ({error})") from error
-    if unit not in _UNITS:
-        raise SourceError(f"{path}: unknown unit '{unit}' (known: {', '.join(_UNITS)})")
+    if unit not in UNITS:
+        raise SourceError(f"{path}: unknown unit '{unit}' (known: {', '.join(UNITS)})")
 
     rows: dict[str, int] = {}
     for row, label in enumerate(found[: points.shape[1]]):
-        rows.setdefault(str(label).strip().rpartition(":")[2], row)
-    if labels is None:
-        labels = tuple(label for label in MARKERS if label in rows)
-    lacking = [label for label in labels or MARKERS if label not in rows]
-    if lacking:
-        raise SourceError(f"{path}: lacks the markers {', '.join(lacking)}")
-    chosen = [rows[label] for label in labels]
+        name = str(label).strip().rpartition(":")[2]
+        if name and not name.startswith("*"):
+            rows.setdefault(name, row)
+    chosen = list(rows.values())
     xyz = points[:3, chosen].transpose(2, 1, 0)
     missing = (residuals[chosen].T < 0) | (xyz == 0).all(axis=2) | ~np.isfinite(xyz).all(axis=2)
-    metres = np.where(missing[:, :, None], np.nan, xyz * _UNITS[unit]).astype(np.float32)
+    metres = np.where(missing[:, :, None], np.nan, xyz * UNITS[unit]).astype(np.float32)
     try:
-        return Clip(path, Layout(tuple(labels), rate), metres)
+        return Clip(path, Layout(tuple(rows), rate), metres)
     except ValueError as error:
         raise SourceError(f"{path}: {error}") from error
 
@@ -142,8 +160,23 @@ def _speed(text: str) -> float:
 
 
 def open_c3d(url: Url, clock: Clock) -> Source:
-    """The source at `c3d:FILE?speed=1` (or `speed=max`). Raises UrlError or SourceError."""
+    """The source at `c3d:FILE?speed=1` (or `speed=max`): all points that have a name.
+
+    Options `frame`, `axes` and `labels` as on a wire; the unit is the file's. Raises UrlError or
+    SourceError.
+    """
     path = url.file_path()
     speed = url.take("speed", 1.0, _speed)
+    convention = Convention.take(url, unit=1.0)
     url.finish()
-    return C3dSource(url.text, read_c3d(path, labels=None), clock, speed)
+    clip = read_points(path)
+    try:
+        layout = convention.layout_in(clip.layout)
+    except ValueError as error:
+        raise SourceError(f"{path}: the option labels does not fit it: {error}") from error
+    if lacking := convention.lacking(clip.layout):
+        log.warning(
+            "%s: the option labels names %s, which the file does not carry (it has %s)",
+            *(path, ", ".join(lacking), ", ".join(clip.layout.labels)),
+        )
+    return C3dSource(url.text, Clip(clip.path, layout, convention.xyz_in(clip.xyz)), clock, speed)

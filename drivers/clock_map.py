@@ -12,6 +12,7 @@ WINDOW = 60  # buckets: a minute
 ENOUGH = 10  # buckets from which drift is told
 MOST_DRIFT = 5e-4  # a quartz clock is an order better
 JUMP = 0.25  # s by which a device's clock has to leap to be another clock
+LATEST = 1e11  # s: what is beyond is no time
 
 
 class ClockMap:
@@ -20,7 +21,7 @@ class ClockMap:
     No frame arrives before it is sent, so the smallest difference is the truest; the others are
     delays. Drift is the median slope (Theil and Sen) of the smallest differences of each second. A
     stamp that runs back, or is later than it can be by more than a quarter of a second, is of a
-    clock that was set: the map begins anew (`clock_jumps`).
+    clock that was set: the map begins anew (`clock_jumps`). One that stands still says nothing.
     """
 
     def __init__(self, counters: Counter[str]) -> None:
@@ -42,8 +43,10 @@ class ClockMap:
         return self._offset + self.drift * (self._last - self._origin)
 
     def map(self, t: float, t_device: float) -> float:
-        """Host time of a frame received at `t` and stamped `t_device`; `t` where that is NaN."""
-        if math.isnan(t_device):
+        """Host time of a frame received at `t` and stamped `t_device`; `t` where that says nothing,
+        as NaN does.
+        """
+        if t_device == self._last or not abs(t_device) < LATEST:
             return t
         difference = t - t_device
         if t_device < self._last or self._expected(t_device) - difference > JUMP:

@@ -21,15 +21,21 @@ class Convention:
     labels: Mapping[str, str] = field(default_factory=lambda: _NO_LABELS)
 
     @classmethod
-    def take(cls, url: Url, frame: Frame = OURS) -> Convention:
+    def take(cls, url: Url, frame: Frame = OURS, *, unit: float | None = None) -> Convention:
         """The options `frame`, `axes`, `unit` and `labels` of an address.
 
-        frame: the wire's own, where the address names none. Raises UrlError.
+        frame: the wire's own, where the address names none. unit: metres, where it is known: then
+        there is no option for it. Raises UrlError.
         """
         frame = url.take("frame", frame, parse_frame)
         axes = url.take("axes", frame.axes, parse_axes)
-        unit = url.take("unit", frame.unit, parse_unit)
+        if unit is None:
+            unit = url.take("unit", frame.unit, parse_unit)
         return cls(Frame(axes, unit), url.take("labels", _NO_LABELS, parse_labels))
+
+    def lacking(self, layout: Layout) -> list[str]:
+        """Names that `labels` has and their layout has not."""
+        return [name for name in self.labels if name not in layout.labels]
 
     def layout_in(self, layout: Layout) -> Layout:
         """Their layout under our labels. Two of theirs may not be one of ours: ValueError."""

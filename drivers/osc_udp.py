@@ -55,7 +55,7 @@ class UdpTransport:
                 host, port, type=socket.SOCK_DGRAM, flags=socket.AI_PASSIVE
             )[0]
             self._socket = socket.socket(family, kind, protocol)
-        except OSError as error:
+        except (OSError, UnicodeError) as error:  # the latter for 192.168.1..20
             raise SourceError(f"cannot listen on UDP {host}:{port}: {error}") from error
         try:
             self._socket.setblocking(False)
@@ -98,7 +98,7 @@ class UdpTransport:
             self._peer = socket.getaddrinfo(
                 host, port, self._socket.family, socket.SOCK_DGRAM, flags=socket.AI_V4MAPPED
             )[0][4]
-        except OSError as error:
+        except (OSError, UnicodeError) as error:
             raise SourceError(f"cannot find {host}: {error}") from error
         if _address(self.host).is_loopback and not _address(self._peer[0]).is_loopback:
             raise SourceError(

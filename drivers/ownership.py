@@ -6,12 +6,14 @@ from collections import OrderedDict
 from enum import Enum, auto
 from functools import cached_property
 
+from drivers.frame import MarkerFrame
 from drivers.transport import Received
 from drivers.wire_source import WireSource
 
 SILENCE = 1.0  # s after which an owner that says nothing may be followed by another
 ESTABLISHED = 3  # packets that make a sender more than one that says a single thing (oscsend)
 REMEMBERED = 64  # senders
+NO_USE = ("bad_osc", "bad_packet", "foreign")  # counters of packets that no stream is made of
 
 
 class Verdict(Enum):
@@ -46,6 +48,10 @@ class Ownership:
             return Verdict.START_ANEW
         return Verdict.TAKE_OVER
 
+    def discount(self) -> None:
+        """The owner's newest packet was of no use: such packets establish nobody."""
+        self._packets[self.owner] -= 1
+
 
 class OwnedSource(WireSource):
     """A WireSource on a line that several may send to: it reads its owner.
@@ -59,13 +65,13 @@ class OwnedSource(WireSource):
         """Who is listened to."""
         return Ownership()
 
-    def _admits(self, received: Received) -> bool:
+    def _decode(self, received: Received) -> list[MarkerFrame]:
         owner = self.ownership.owner
         verdict = self.ownership.hear(received.sender, received.t)
         if verdict is Verdict.REFUSE:
             self.counters["other_sender"] += 1
             self._say_refused(owner, received.sender)
-            return False
+            return []
         if verdict is not Verdict.TAKE:
             self.counters["sender_changes"] += 1
         if verdict is Verdict.START_ANEW:
@@ -73,7 +79,15 @@ class OwnedSource(WireSource):
             self._decoder.reset()
             self._sequence.reset()
             self.clock_map.reset()
-        return True
+        of_no_use = self._of_no_use
+        frames = super()._decode(received)
+        if not frames and self._of_no_use > of_no_use:
+            self.ownership.discount()
+        return frames
+
+    @property
+    def _of_no_use(self) -> int:
+        return sum(self.counters[name] for name in NO_USE)
 
     def _say_refused(self, owner: str, sender: str) -> None:
         """For who has something to say of a packet that is not read."""

@@ -113,9 +113,10 @@ class Sequence:
     def _begin(self, frame: MarkerFrame) -> list[MarkerFrame]:
         """Counts from this frame on; what waits comes first."""
         due = self.flush()
-        # What was given up from here on, if the count went back, is still to come.
-        self._counters["missing"] -= sum(index >= frame.index for index in self._given_up)
+        # What was given up for a leap that nothing confirmed is still to come.
         steady = self._steady
+        still = frame.index if steady is None else max(frame.index, steady)
+        self._counters["missing"] -= sum(index >= still for index in self._given_up)
         self.reset()
         self._next = frame.index + 1
         self._steady = steady

@@ -10,11 +10,9 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlencode
 
-from serial.tools import list_ports
-
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.frame import SourceError
-from drivers.serial_port import SerialTransport
+from drivers.serial_port import SerialTransport, listed_ports
 from drivers.transport import Received, TransportLost
 from drivers.url import Url
 from drivers.wire.guess import Guess, guess_wire, wires
@@ -52,7 +50,7 @@ class Identity:
 def ports(given: Iterable[str] = ()) -> list[Port]:
     """Those named, else all that the system knows."""
     links = {os.path.realpath(link): str(link) for link in BY_ID.glob("*")}
-    known = {str(port.device): _port(port, links) for port in list_ports.comports()}
+    known = {str(port.device): _port(port, links) for port in listed_ports()}
     named = list(given)
     if not named:
         return list(known.values())

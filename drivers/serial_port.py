@@ -6,6 +6,7 @@ import contextlib
 import os
 import select
 import termios
+from typing import Any
 
 import serial
 from serial.tools import list_ports
@@ -29,7 +30,7 @@ class SerialTransport:
         """Raises SourceError where the port cannot be opened."""
         self._clock = clock
         try:
-            self._port = serial.Serial(path, baud, timeout=0, write_timeout=1.0, exclusive=True)
+            self._port = serial.Serial(path, baud, timeout=0, exclusive=True)
             self._keep_dtr()
         except (serial.SerialException, OSError, ValueError, termios.error) as error:
             raise SourceError(
@@ -51,13 +52,22 @@ class SerialTransport:
         return Received(data, self._clock.now())
 
     def send(self, data: bytes) -> None:
+        """Hands it to the driver as far as there is room: a device that takes nothing in is not
+        waited for.
+        """
         try:
-            self._port.write(data)
-        except (OSError, serial.SerialException, termios.error) as error:
+            os.write(self._port.fileno(), data)
+        except BlockingIOError:
+            return
+        except (OSError, serial.SerialException) as error:
             raise TransportLost(str(error)) from error
 
     def close(self) -> None:
-        with contextlib.suppress(OSError, termios.error):  # a port that is gone closes badly
+        # A port that is gone closes badly; one that takes nothing in, only after half a minute
+        # unless what waits for it is dropped.
+        with contextlib.suppress(OSError, termios.error):
+            self._port.reset_output_buffer()
+        with contextlib.suppress(OSError, termios.error):
             self._port.close()
 
     def _keep_dtr(self) -> None:
@@ -84,35 +94,56 @@ class SerialPort:
 
     def __init__(self, path: str, baud: int, clock: Clock) -> None:
         self._path, self._baud, self._clock = path, baud, clock
-        self._serial_number: str | None = None
+        self._identity: tuple[str, str] | None = None
         self._opened = False
 
     def __call__(self) -> SerialTransport:
         """Opens it. Raises SourceError where it is not there."""
         if not self._opened:
             transport = SerialTransport(self._path, self._baud, self._clock)
-            self._opened, self._serial_number = True, self._number_at(self._path)
+            self._opened, found = True, _identities()
+            mine = found.get(os.path.realpath(self._path))  # /dev/serial/by-id holds links
+            # Some makers give all that they make one number: it tells nothing then.
+            self._identity = mine if list(found.values()).count(mine) == 1 else None
             return transport
         return SerialTransport(self._find(), self._baud, self._clock)
 
     def _find(self) -> str:
-        if self._serial_number is None or self._number_at(self._path) == self._serial_number:
+        if self._identity is None:
             return self._path
-        for port in list_ports.comports():
-            if port.serial_number == self._serial_number:
-                return str(port.device)
-        raise SourceError(f"no serial port with the USB serial number {self._serial_number}")
+        found = _identities()
+        if found.get(os.path.realpath(self._path)) == self._identity:
+            return self._path
+        for path, identity in found.items():
+            if identity == self._identity:
+                return path
+        raise SourceError(f"no serial port with the USB serial number {self._identity[0]}")
 
-    @staticmethod
-    def _number_at(path: str) -> str | None:
-        real = os.path.realpath(path)  # /dev/serial/by-id holds links
-        return next((p.serial_number for p in list_ports.comports() if p.device == real), None)
+
+def _identities() -> dict[str, tuple[str, str] | None]:
+    """By path: the USB serial number, and which of its device's ports it is; None without one."""
+    return {
+        str(port.device): (port.serial_number, (port.location or "").partition(":")[2])
+        if port.serial_number
+        else None
+        for port in listed_ports()
+    }
+
+
+def listed_ports() -> list[Any]:
+    """What the system knows, as pyserial tells it; nothing while one of them is going away, over
+    which pyserial stumbles.
+    """
+    try:
+        return list(list_ports.comports())
+    except (OSError, TypeError, ValueError):
+        return []
 
 
 def open_serial(url: Url, clock: Clock) -> Source:
     """The source at a serial address. Raises UrlError or SourceError."""
     path = url.file_path()
-    baud = url.take("baud", 921_600, int)
+    baud = url.take("baud", 921_600, _baud)
     decoder, convention = take_decoder(url)
     reorder = reorder_of(url)
     url.finish()
@@ -125,3 +156,9 @@ def open_serial(url: Url, clock: Clock) -> Source:
         reorder=reorder,
         reopens=True,
     )
+
+
+def _baud(text: str) -> int:
+    if not (text.isdecimal() and 0 < int(text) < 2**31):
+        raise ValueError("it is a number of bits a second, for example 115200")
+    return int(text)

@@ -25,7 +25,7 @@ class UdpSender:
             family, kind, protocol, _, address = socket.getaddrinfo(
                 host, port, type=socket.SOCK_DGRAM
             )[0]
-        except OSError as error:
+        except (OSError, UnicodeError) as error:
             raise AddressError(f"cannot send to {host}:{port}: {error}") from error
         self._address: Any = address
         self._socket = socket.socket(family, kind, protocol)

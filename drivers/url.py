@@ -41,7 +41,7 @@ class Url:
     def parse(cls, text: str) -> Url:
         """Takes apart `scheme:path`, `scheme:///path` or `scheme://host:port`, with `?a=b&c=d`.
 
-        Raises UrlError for a missing scheme, a bad port or an option without a value.
+        Raises UrlError for a missing scheme, a bad port, an option without a value or given twice.
         """
         scheme, colon, rest = text.partition(":")
         if not colon or not scheme:
@@ -51,6 +51,11 @@ class Url:
             found = parse_qsl(query, keep_blank_values=True, strict_parsing=True) if query else []
         except ValueError:
             raise UrlError(f"'{text}': options are written ?name=value&name=value") from None
+        options = dict(found)
+        if len(options) < len(found):
+            names = [name for name, _ in found]
+            twice = next(name for name in options if names.count(name) > 1)
+            raise UrlError(f"'{text}': option {twice} is given twice", twice, "it is given twice")
         host, port, path = "", None, rest
         if rest.startswith("//"):
             try:
@@ -61,7 +66,7 @@ class Url:
                     f"'{text}': write HOST:PORT, the port being a number from 0 to 65535"
                 ) from None
             path = rest[2 + len(parts.netloc) :]
-        return cls(text, scheme, path, host, port, dict(found))
+        return cls(text, scheme, path, host, port, options)
 
     def adding(self, options: Mapping[str, str]) -> Url:
         """This address with further options. UrlError for one that it has already."""

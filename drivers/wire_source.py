@@ -18,7 +18,7 @@ from drivers.transport import Received, Transport, TransportLost
 from drivers.url import Url
 from drivers.wire.codec import Decoder
 
-SILENCE = 1.0  # s without a byte before the device is asked again
+SILENCE = 1.0  # s without a byte, or on a line of many a frame, before the device is asked again
 ANSWER = 0.25  # s that it gets to answer before the line is closed and opened again
 PATIENCE = 8.0  # s: a line that opens but says nothing is opened again after longer and longer
 RETRY = 0.1  # s between attempts to open a line that was lost
@@ -80,8 +80,10 @@ class WireSource(Source):
         self._sequence = Sequence(self.counters, reorder)
         self._reopens = reopens
         self._foreign: Layout | None = None
+        self._checked: tuple[str, ...] = ()  # their labels when `labels` was last compared
         self._transport: Transport | None = connect()
-        self._quiet_since = self._last = clock.now()
+        self._quiet_since = clock.now()
+        self._framed = clock.now()  # when the newest frame came
         self._patience = SILENCE
         self._asked = False
         self._try_at = clock.now()
@@ -100,20 +102,26 @@ class WireSource(Source):
             return self._finished(self._sequence.flush())
         if received is None:
             return self._silent()
-        frames = self._sequence.flush() if received.t - self._last > HELD else []
-        self._quiet_since = self._last = received.t
+        held = received.t - self._framed > HELD
+        frames = self._finished(self._sequence.flush()) if held else []
         self._patience, self._asked = SILENCE, False
         self.counters["bytes"] += len(received.data)
         if self.recorder:
             self.recorder.received(self.name, received)
-        if self._admits(received):
-            for frame in self._decoder.feed(received.data, received.t):
-                frames += self._sequence.put(frame)
-        return self._finished(frames)
+        read = self._decode(received)
+        if read:
+            self._framed = received.t
+        if read or self._reopens:  # a line that several send to may be loud and say nothing
+            self._quiet_since = received.t
+        restarts = self.counters["restarts"]
+        ordered = [frame for one in read for frame in self._sequence.put(one)]
+        if self.counters["restarts"] > restarts:  # and so has its clock
+            self.clock_map.reset()
+        return frames + self._finished(ordered)
 
-    def _admits(self, received: Received) -> bool:
-        """Whether these bytes are of the sender that is listened to."""
-        return True
+    def _decode(self, received: Received) -> list[MarkerFrame]:
+        """Frames of the wire that these bytes complete."""
+        return self._decoder.feed(received.data, received.t)
 
     def _finished(self, frames: list[MarkerFrame]) -> list[MarkerFrame]:
         """Frames of the wire as ours: our labels, metres, and the host's clock."""
@@ -142,12 +150,14 @@ class WireSource(Source):
         self._foreign, self.layout = foreign, None
         if foreign is None:
             return
+        known, self._checked = foreign.labels == self._checked, foreign.labels
         try:
             self.layout = self._convention.layout_in(foreign)
         except ValueError as error:
-            log.warning("%s: the option labels does not fit the stream: %s", self.name, error)
-        lacking = [name for name in self._convention.labels if name not in foreign.labels]
-        if lacking:
+            if not known:
+                log.warning("%s: the option labels does not fit the stream: %s", self.name, error)
+        lacking = self._convention.lacking(foreign)
+        if lacking and not known:
             log.warning(
                 "%s: the option labels names %s, which the stream does not carry (it has %s)",
                 *(self.name, ", ".join(lacking), ", ".join(foreign.labels)),
@@ -179,7 +189,7 @@ class WireSource(Source):
     @property
     def _held_until(self) -> float:
         """When frames no longer wait for a late one."""
-        return self._last + HELD if self._sequence.waiting else math.inf
+        return self._framed + HELD if self._sequence.waiting else math.inf
 
     def _say_hello(self) -> None:
         if self._decoder.hello and self._transport is not None:
@@ -211,6 +221,7 @@ class WireSource(Source):
         self.counters["reconnects"] += 1
         self._decoder.reset()
         self._sequence.reset()
+        self.clock_map.reset()
         self._quiet_since = self.clock.now()
         self._asked = False
         if self.recorder:

@@ -7,6 +7,7 @@ import json
 import shlex
 import sys
 
+from bridge import terminal
 from bridge.doctor.examination import examine
 from bridge.doctor.finding import Finding, Grade
 from bridge.doctor.heard import listen
@@ -29,14 +30,14 @@ def main(argv: list[str]) -> int:
     findings, address = examine(heard, info)
     well = all(finding.grade is Grade.NOTE for finding in findings)
     if options.json:
-        print(json.dumps(_as_json(options.source, well, findings, address)))
+        terminal.answer(json.dumps(_as_json(options.source, well, findings, address)))
     else:
-        for finding in findings:
-            print(_line(finding))
+        lines = [_line(finding) for finding in findings]
         if address != options.source:
-            print(f"write: {shlex.quote(address)}")
+            lines.append(f"write: {shlex.quote(address)}")
         elif well:
-            print("all well")
+            lines.append("all well")
+        terminal.answer("\n".join(lines))
     return 0 if well else 1
 
 

@@ -33,6 +33,8 @@ class LogSink(Sink):
         self.name = url.text
         path = Path(url.file_path())
         url.finish()
+        if path.exists() and not path.is_file():
+            raise SinkError(f"cannot write {path}: it is a folder, or no ordinary file")
         try:
             self._log = _new_log(path)
         except OSError as error:

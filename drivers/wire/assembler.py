@@ -10,6 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.frame import Layout, MarkerFrame
+from drivers.options import positive
+from drivers.url import Url
 
 CONFIRM = 3  # times that a label has to come before it is believed: a flipped bit makes no marker
 WITHIN = 2.0  # s in which they have to come
@@ -68,6 +70,7 @@ class Assembler:
         self._given: int | None = None  # its index, where the wire has one
         self._index = -1
         self._t = self._t_device = math.nan
+        self._stamp = math.nan  # of the frame sent last
         self._interval = math.inf  # s since its markers came before, the shortest
         self._rate = _Rate(self._fixed_rate)
 
@@ -162,14 +165,15 @@ class Assembler:
             return []
         self._sent = True
         self._index = self._index + 1 if self._given is None else self._given
-        if self._rate.measure(
-            self._t if math.isnan(self._t_device) else self._t_device, self._index
-        ):
+        # A time that stands still (seconds since 1970 in a float32 do) says nothing.
+        t_device = math.nan if self._t_device == self._stamp else self._t_device
+        self._stamp = self._t_device
+        if self._rate.measure(self._t if math.isnan(t_device) else t_device, self._index):
             self._lay_out(self.layout.labels)
         with np.errstate(over="ignore"):  # too large for float32: infinite, and out of range
             xyz = np.array(places, np.float32)
         xyz[np.isnan(xyz).any(axis=1)] = np.nan
-        return [MarkerFrame(self._index, self._t, self._t_device, self.layout, xyz)]
+        return [MarkerFrame(self._index, self._t, t_device, self.layout, xyz)]
 
     def _hear(self, label: str, t: float) -> None:
         """Notes that a label came."""
@@ -216,6 +220,35 @@ class Assembler:
     def _lay_out(self, labels: tuple[str, ...]) -> None:
         self._rows = {label: row for row, label in enumerate(labels)}
         self.layout = Layout(labels, self._rate.value)
+
+
+class Assembled:
+    """What a decoder leaves to its Assembler, `_frames`."""
+
+    _frames: Assembler
+
+    @property
+    def layout(self) -> Layout | None:
+        return self._frames.layout
+
+    @property
+    def counters(self) -> Counter[str]:
+        return self._frames.counters
+
+    @counters.setter
+    def counters(self, counters: Counter[str]) -> None:
+        self._frames.counters = counters
+
+
+def take_rate(url: Url) -> float | None:
+    """The option `rate` of an address, in Hz. Raises UrlError."""
+    return url.take("rate", None, _hertz)
+
+
+def _hertz(text: str) -> float:
+    if positive(text) >= 1e6:
+        raise ValueError("a stream has less than 1,000,000 frames a second")
+    return float(text)
 
 
 class _Heard(NamedTuple):

@@ -152,8 +152,8 @@ class CobsDecoder:
             end = at + 1 + body[at]
             labels.append(body[at + 1 : end].decode("ascii"))
             at = end
-        if at != len(body) or not all(labels):
-            raise ValueError("layout packet of another length than its labels")
+        if at != len(body) or not all(label and label.isprintable() for label in labels):
+            raise ValueError("labels that are none, or of another length than the packet")
         layout = Layout(tuple(labels), rate)
         if layout != self.layout:
             self.layout = layout

@@ -26,9 +26,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 from drivers.frame import Floats, Layout, MarkerFrame
-from drivers.options import positive
 from drivers.url import Url
-from drivers.wire.assembler import Assembler
+from drivers.wire.assembler import Assembled, Assembler, take_rate
 
 FRAME = "fastrak"  # inches; x forward, y to the right, z down
 
@@ -294,7 +293,7 @@ class FastrakEncoder:
         return b"C" in data
 
 
-class FastrakDecoder:
+class FastrakDecoder(Assembled):
     """Records to frames, the stations as labels. Counts `bad_record` (also what is none),
     `replies` to commands, records that the tracker marks as doubtful (`flagged`; they are read: the
     mark stays until it is asked for), and what the Assembler counts.
@@ -308,18 +307,6 @@ class FastrakDecoder:
         order = [str(number + 1) for number in range(records.form.stations)]
         self._frames = Assembler(Counter(), rate, order)
         self._buffer = b""
-
-    @property
-    def layout(self) -> Layout | None:
-        return self._frames.layout
-
-    @property
-    def counters(self) -> Counter[str]:
-        return self._frames.counters
-
-    @counters.setter
-    def counters(self, counters: Counter[str]) -> None:
-        self._frames.counters = counters
 
     def reset(self) -> None:
         self._frames.reset()
@@ -359,7 +346,7 @@ class FastrakDecoder:
 
 def open_decoder(url: Url) -> FastrakDecoder:
     """The host's side of the wire. Options `model`, `format`, `fields`, `rate`. Raises UrlError."""
-    return FastrakDecoder(_take_records(url), url.take("rate", None, positive))
+    return FastrakDecoder(_take_records(url), take_rate(url))
 
 
 def open_encoder(url: Url) -> FastrakEncoder:

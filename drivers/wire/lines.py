@@ -21,9 +21,8 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from drivers.frame import Floats, Layout, MarkerFrame
-from drivers.options import positive
 from drivers.url import Url
-from drivers.wire.assembler import MOST, Assembler
+from drivers.wire.assembler import MOST, Assembled, Assembler, take_rate
 from drivers.wire.packets import PacketBuffer
 
 FRAME = "cmu"  # metres, Z up
@@ -77,7 +76,7 @@ class LinesEncoder:
         return False
 
 
-class LinesDecoder:
+class LinesDecoder(Assembled):
     """Lines to frames. Counts `bad_line` (also what a board says when it starts), `bad_checksum`,
     `overlong`, and what the Assembler counts; whatever it met, it reads the next good line. Once
     lines have checksums or indices, one without is a spoilt one.
@@ -93,18 +92,6 @@ class LinesDecoder:
         self._frames = Assembler(Counter(), rate)
         self._buffer = PacketBuffer(b"\n", MAX_LINE)
         self._checksums, self._indices = _Habit(), _Habit()
-
-    @property
-    def layout(self) -> Layout | None:
-        return self._frames.layout
-
-    @property
-    def counters(self) -> Counter[str]:
-        return self._frames.counters
-
-    @counters.setter
-    def counters(self, counters: Counter[str]) -> None:
-        self._frames.counters = counters
 
     def reset(self) -> None:
         self._frames.reset()
@@ -181,7 +168,7 @@ def is_label(text: str) -> bool:
 def open_decoder(url: Url) -> LinesDecoder:
     """The host's side of the wire. Options `checksum=required` and `rate`. Raises UrlError."""
     required = url.take("checksum", False, _one("required"))
-    return LinesDecoder(required=required, rate=url.take("rate", None, positive))
+    return LinesDecoder(required=required, rate=take_rate(url))
 
 
 def open_encoder(url: Url) -> LinesEncoder:

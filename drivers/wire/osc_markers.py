@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 import struct
 from abc import ABC, abstractmethod
@@ -12,9 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from drivers.frame import Floats, Layout, MarkerFrame
-from drivers.options import positive
-from drivers.url import Url
-from drivers.wire.assembler import MOST, Assembler
+from drivers.wire.assembler import MOST, Assembled, Assembler
 from drivers.wire.osc import OscError, OscMessage, build_bundle, is_bundle, messages, sized
 
 LONGEST = 200  # bytes of a label that is part of an address
@@ -25,7 +22,7 @@ BELIEVED = 50  # packets without an index after which the stream is one that has
 Position = Sequence[float]  # three numbers, NaN where the marker is lost
 
 
-class MarkerDecoder(ABC):
+class MarkerDecoder(Assembled, ABC):
     """Datagrams to frames. A dialect writes one hook, `_read`.
 
     A bundle that has a marker in common with the bundle before it is a frame of its own, under the
@@ -44,23 +41,10 @@ class MarkerDecoder(ABC):
         self._frames = Assembler(Counter(), rate)
         self.reset()
 
-    @property
-    def layout(self) -> Layout | None:
-        return self._frames.layout
-
-    @property
-    def counters(self) -> Counter[str]:
-        return self._frames.counters
-
-    @counters.setter
-    def counters(self, counters: Counter[str]) -> None:
-        self._frames.counters = counters
-
     def reset(self) -> None:
         self._frames.reset()
         self._before: Mapping[str, Position] = {}  # markers of the bundle before
         self._time = math.nan  # of the device, as last told, in seconds
-        self._stamp = math.nan  # of the last frame
         self._index: int | None = None  # of the frame that this packet holds, if it tells
         self._untold = BELIEVED  # packets with markers since one told an index
         self._ended = False  # whether this packet says that the frame is whole
@@ -96,7 +80,7 @@ class MarkerDecoder(ABC):
             frames += self._frames.add(label, xyz, t, self._time)
         if self._ended:
             frames += self._frames.end()
-        return [self._stamped(frame) for frame in frames]
+        return frames
 
     def _lacks_index(self) -> bool:
         """Whether markers come without an index in a stream that has them: any number that we gave
@@ -123,24 +107,6 @@ class MarkerDecoder(ABC):
             else:
                 markers[label] = xyz
         return markers
-
-    def _stamped(self, frame: MarkerFrame) -> MarkerFrame:
-        """A time that stands still (seconds since 1970 in a float32 do) says nothing."""
-        if frame.t_device == self._stamp:
-            return dataclasses.replace(frame, t_device=math.nan)
-        self._stamp = frame.t_device
-        return frame
-
-
-def take_rate(url: Url) -> float | None:
-    """The option `rate` of an address, in Hz. Raises UrlError."""
-    return url.take("rate", None, _hertz)
-
-
-def _hertz(text: str) -> float:
-    if positive(text) >= 1e6:
-        raise ValueError("a stream has less than 1,000,000 frames a second")
-    return float(text)
 
 
 def position_of(types: str, values: Sequence[float]) -> Position:

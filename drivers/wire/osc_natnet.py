@@ -24,6 +24,7 @@ import math
 import re
 
 from drivers.url import Url
+from drivers.wire.assembler import take_rate
 from drivers.wire.osc import OscMessage, arguments, build, label_of
 from drivers.wire.osc_markers import (
     MarkerDecoder,
@@ -32,7 +33,6 @@ from drivers.wire.osc_markers import (
     Slot,
     in_address,
     position_of,
-    take_rate,
 )
 
 FRAME = "opengl"  # metres, Y up, as Motive streams unless it is told otherwise

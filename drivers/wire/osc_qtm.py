@@ -17,6 +17,7 @@ import struct
 from urllib.parse import urlsplit
 
 from drivers.url import Url
+from drivers.wire.assembler import take_rate
 from drivers.wire.osc import OscMessage, arguments, build, label_of, sized
 from drivers.wire.osc_markers import (
     MarkerDecoder,
@@ -25,7 +26,6 @@ from drivers.wire.osc_markers import (
     Slot,
     in_address,
     position_of,
-    take_rate,
 )
 
 FRAME = "c3d"  # millimetres, Z up

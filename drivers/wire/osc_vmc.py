@@ -15,6 +15,7 @@ import math
 import struct
 
 from drivers.url import Url
+from drivers.wire.assembler import take_rate
 from drivers.wire.osc import OscMessage, arguments, build, label_of, sized
 from drivers.wire.osc_markers import (
     MarkerDecoder,
@@ -22,7 +23,6 @@ from drivers.wire.osc_markers import (
     Position,
     Slot,
     position_of,
-    take_rate,
 )
 
 FRAME = "unity"  # metres, Y up, left-handed

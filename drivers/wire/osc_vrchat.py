@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from drivers.frame import Layout
 from drivers.url import Url
+from drivers.wire.assembler import take_rate
 from drivers.wire.osc import OscMessage, arguments, build
 from drivers.wire.osc_markers import (
     MarkerDecoder,
@@ -18,7 +19,6 @@ from drivers.wire.osc_markers import (
     Position,
     Slot,
     position_of,
-    take_rate,
 )
 
 FRAME = "unity"  # metres, Y up, left-handed

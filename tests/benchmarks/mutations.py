@@ -1,7 +1,8 @@
 """Spoilt packets by the million: `python -m tests.benchmarks.mutations [--count N] [WIRE ...]`.
 
-Each codec gets so many, shared by its variants; so do the OSC dialects among them, as they share the
-corpus. Fails where a packet was not accounted for, cost over 10 ms of CPU, or kept a good one from being read.
+Each codec gets so many, shared by its variants; so do the OSC dialects among them, as they share
+the corpus. Fails where a packet was not accounted for, cost over 10 ms of CPU, or kept a good one
+from being read.
 """
 
 from __future__ import annotations

@@ -165,6 +165,9 @@ def test_a_log_that_cannot_be_written_is_refused_at_once(tmp_path: Path) -> None
     context = SinkContext(MODEL.info, lambda index: None)
     with pytest.raises(SinkError, match=r"cannot write .*No such file or directory"):
         open_sink(f"log:{tmp_path / 'no' / 'a.mcap'}", context)
+    for path in (tmp_path, "/", ".", "/dev/null"):
+        with pytest.raises(SinkError, match="it is a folder, or no ordinary file"):
+            open_sink(f"log:{path}", context)
     with pytest.raises(UrlError, match="unknown option rate"):
         open_sink(f"log:{tmp_path / 'a.mcap'}?rate=5", context)
 

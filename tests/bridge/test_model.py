@@ -1,7 +1,10 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
+import subprocess
+import sys
 from importlib.resources import files
 from pathlib import Path
 
@@ -179,3 +182,15 @@ def test_a_copy_elsewhere_is_the_same_model(tmp_path: Path) -> None:
     here, there = one.estimate(tracked, velocity), other.estimate(tracked, velocity)
     for found, again in zip(here, there, strict=True):
         np.testing.assert_array_equal(found, again)
+
+
+def test_the_model_leaves_nothing_behind_and_tells_nobody_that_it_is_used(tmp_path: Path) -> None:
+    """onnxruntime's telemetry keeps a number for the machine below the user's home."""
+    speaks = ("ORT_DISABLE_TELEMETRY", "CI", "XDG_CACHE_HOME", "GITHUB_ACTIONS")
+    environment = {name: value for name, value in os.environ.items() if name not in speaks}
+    subprocess.run(
+        [sys.executable, "-P", "-c", "from bridge.model import Model; Model('default')"],
+        env=environment | {"HOME": str(tmp_path)},
+        check=True,
+    )
+    assert list(tmp_path.iterdir()) == []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterable
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,10 +14,15 @@ from bridge.model import Model
 from bridge.pose import Pose
 from bridge.session import Session
 from bridge.sinks.sink import Input, Sink, SinkContext, SinkError
+from bridge.terminal import line
+from bridge.truth import Truth
 from drivers.c3d_file import C3dSource, Clip
-from drivers.clock import SYSTEM_CLOCK
+from drivers.clock import SYSTEM_CLOCK, VirtualClock
 from drivers.frame import Layout, MarkerFrame, Source, SourceError
 from drivers.session_log import LineEvent
+from drivers.transport import MemoryTransport, memory_line
+from drivers.wire.cobs import CobsDecoder, CobsEncoder
+from drivers.wire_source import WireSource
 
 MODEL = Model("default")
 LAYOUT = Layout(MODEL.info.tracked, 120.0)
@@ -141,6 +147,84 @@ def test_frames_that_never_came_are_those_that_the_source_counts() -> None:
     running.run(threading.Event())
     assert running.status().missing_indices == 3
     running.close()
+
+
+def wire_session(
+    clock: VirtualClock, labels: tuple[str, ...], truth: Truth | None = None
+) -> tuple[Session, MemoryTransport, CobsEncoder]:
+    """A session whose device sends frames of `labels`: its end of the line, and its encoder."""
+    ours, device = memory_line(clock)
+    source = WireSource("osc://here:9", lambda: ours, CobsDecoder(), clock)
+    encoder = CobsEncoder()
+    device.send(encoder.encode_layout(Layout(labels, 120.0)))
+    context = SinkContext(MODEL.info, truth.at if truth else lambda index: None)
+    running = Session(source, PoseEstimator(MODEL), [], context, truth=truth, clock=clock)
+    return running, device, encoder
+
+
+def test_a_frame_that_is_held_up_on_the_line_is_seen_in_the_delay() -> None:
+    clock = VirtualClock()
+    running, device, encoder = wire_session(clock, LAYOUT.labels)
+    assert running.status().delay_now is None
+    for index in range(100):
+        late = 0.2 if index == 99 else 0.01
+        packet = encoder.encode_frame(index, index / 120, STANDING)
+        clock.call_at(index / 120 + late, partial(device.send, packet))
+    while (frame := running.source.read(1.0)) is not None:
+        running.handle(frame)
+    status = running.status()
+    assert status.frames == 100
+    assert status.delay_now == pytest.approx(0.19, abs=1e-3)
+    assert status.delay_p50 is not None
+    assert status.delay_p50 < 1e-3
+    assert status.age_now == 0.0  # on virtual time an estimate costs nothing
+
+
+@pytest.mark.parametrize("labels", [("1", "head"), ("1", *LAYOUT.labels[1:])])
+def test_foreign_labels_are_told_with_the_way_to_map_them(labels, caplog) -> None:
+    clock = VirtualClock()
+    running, device, encoder = wire_session(clock, labels)
+    device.send(encoder.encode_frame(0, 0.0, STANDING[: len(labels)]))
+    frame = running.source.read(1.0)
+    assert frame is not None
+    if len(labels) == 2:
+        with pytest.raises(SourceError) as refused:
+            running.handle(frame)
+        text = str(refused.value)
+    else:
+        running.handle(frame)
+        (text,) = caplog.messages
+        assert f"no {LAYOUT.labels[0]}, imputed throughout, but 1: " in text
+    assert "labels=THEIRS:OURS" in text
+    assert "`markerbridge doctor osc://here:9`" in text
+
+
+def test_a_truth_that_does_not_come_is_seen() -> None:
+    clock = VirtualClock()
+    ours, sender = memory_line(clock)
+    truth = Truth(WireSource("truth", lambda: ours, CobsDecoder(), clock), MODEL.info.labels)
+    running, device, encoder = wire_session(clock, LAYOUT.labels, truth)
+    for index in range(2):
+        device.send(encoder.encode_frame(index, index / 120, STANDING))
+        frame = running.source.read(1.0)
+        assert frame is not None
+        running.handle(frame)
+        assert "RMS to the truth no true pose has come" in line(running.status())
+        sender.send(b"rubbish\0")
+    status = running.status()
+    assert status.truth is not None
+    assert status.truth["bytes"] == 8
+    assert status.truth.get("frames", 0) == 0
+
+
+def test_bytes_of_which_no_frame_is_read_are_told_in_every_line() -> None:
+    clock = VirtualClock()
+    running, device, _ = wire_session(clock, LAYOUT.labels)
+    device.send(b"rubbish\0" * 1000)
+    assert running.source.read(1.0) is None
+    told = line(running.status())
+    assert "frames in 0, though 8," in told
+    assert "`markerbridge doctor` tells why" in told
 
 
 def test_what_records_is_told_every_frame_even_those_that_overflow() -> None:

@@ -25,6 +25,7 @@ def test_the_ends_of_the_scale_are_counted_too() -> None:
     assert durations.quantile(0.5) == 0.0
     durations.add(1e6)
     assert durations.quantile(1.0) is not None
+    assert durations.last == 1e6
 
 
 def test_a_mean_leaves_out_what_is_no_number() -> None:

@@ -6,6 +6,7 @@ import contextlib
 import logging
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -16,6 +17,7 @@ from bridge.model import Model
 from bridge.pose import Pose
 from bridge.session import Session
 from bridge.sinks.sink import Sink, SinkContext
+from bridge.terminal import line
 from bridge.watch import LOOK, Watch
 from drivers.clock import VirtualClock
 from drivers.frame import Layout, SourceError
@@ -103,7 +105,7 @@ def test_what_went_wrong_is_one_line_in_ten_seconds(lines) -> None:
     bench.run(5)
     # A frame of ten is damaged, and one of fifty never comes.
     bench.spoil = lambda index, packet: (
-        b"" if index % 50 == 7 else b"x" + packet if index % 10 == 0 else packet
+        b"" if index % 50 == 7 else b"x" + packet[1:] if index % 10 == 0 else packet
     )
     bench.run(5.1)
     counters = bench.session.source.counters
@@ -178,7 +180,8 @@ def test_silence_is_told_once_and_so_is_its_end(lines) -> None:
     bench.run(3)
     (line,) = lines()
     quiet = f"{NAME}: no frames for 2 s"
-    assert re.fullmatch(rf"{quiet}: \d+ bytes came, but no frame in them \(\d layouts\)", line)
+    found = r"\d+ bytes came, but no frame in them \(\d layouts\)"
+    assert re.fullmatch(rf"{quiet}: {found}: `markerbridge doctor .*`.* tells why", line)
     bench.playing = True
     bench.run(10)
     lines()
@@ -200,6 +203,30 @@ def test_bytes_without_frames_are_told_as_what_they_are(lines) -> None:
     assert line.startswith(f"{NAME}: no frames for 2 s: ")
     assert "bytes came, but no frame in them (" in line
     assert "bad_" in line
+    assert f"`markerbridge doctor {NAME}`" in line
+
+
+def test_what_goes_wrong_on_the_truth_channel_has_a_line_of_its_own(lines) -> None:
+    bench = Bench()
+    status = bench.session.status()
+    bench.watch.look(replace(status, seconds=0.0, truth={"frames": 0}))
+    bench.watch.look(replace(status, seconds=10.0, truth={"frames": 7, "bad_osc": 3}))
+    assert "truth: in 10 s: 7 frames, 3 bad_osc" in lines()
+
+
+def test_packets_that_are_refused_are_not_told_as_nothing(lines) -> None:
+    bench = Bench()
+    bench.playing = False
+    bench.run(1)
+    bench.session.source.counters.clear()
+    bench.watch.look(bench.session.status())
+    for _ in range(3):
+        bench.session.source.counters["refused"] += 120
+        bench.clock.sleep_until(bench.clock.now() + 1)
+        bench.watch.look(bench.session.status())
+    (told,) = lines()
+    assert re.search(r"the option allow does not name come \(\d+ refused\)", told)
+    assert "360 packets came, of senders that" in line(bench.session.status())
 
 
 def test_a_sink_that_fails_is_summed_up_by_name(lines) -> None:

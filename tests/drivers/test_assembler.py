@@ -238,6 +238,13 @@ def test_the_rate_is_measured(rate) -> None:
     assert len({id(frame.layout) for frame in frames}) <= 2
 
 
+def test_the_rate_is_measured_though_the_stamps_stand_still() -> None:
+    assembler = Assembler(Counter())
+    for number in range(100):
+        frames = assembler.put({"A": (0, 0, 0)}, number / 30, 1.8e9)
+    assert frames[-1].layout.rate == 30.0
+
+
 def test_lost_frames_make_no_other_rate_but_another_rate_does() -> None:
     assembler = Assembler(Counter())
     lossy = [n for n in range(600) if not (200 <= n < 320 and n % 3)]

@@ -10,6 +10,8 @@ from drivers.c3d_file import C3dSource, read_c3d, write_c3d
 from drivers.clock import VirtualClock
 from drivers.frame import Layout, SourceError
 from drivers.marker_set import MARKERS
+from drivers.registry import open_source
+from drivers.url import UrlError
 
 MISSING_PERCENT = {"real/01_01.c3d": 0.027, "real/02_02.c3d": 0.254, "real/07_12.c3d": 0.074}
 
@@ -102,3 +104,25 @@ def test_a_clip_plays_at_its_own_rate_or_a_multiple(tmp_path: Path) -> None:
         times = [frame.t - 5.0 for frame in C3dSource("a", clip, clock, speed)]
         np.testing.assert_allclose(times, np.arange(200) / (100.0 * speed), atol=1e-9)
         assert clock.now() == pytest.approx(5.0 + 1.99 / speed)
+
+
+def test_a_file_of_other_names_and_axes_plays_as_ours(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    points = np.float32([[[100, 1500, -200], [0, 900, 50], [7, 7, 7]]])  # mm, Y up
+    path = made(tmp_path / "a.c3d", ["ann:neck", "ann:Waist", "*12"], points)
+    with open_source(f"c3d:{path}?frame=opengl&labels=neck:C7,nose:CLAV") as source:
+        frame = source.read()
+    assert frame.layout == Layout(("C7", "Waist"), 100.0)
+    np.testing.assert_allclose(frame.xyz, [[0.1, 0.2, 1.5], [0, -0.05, 0.9]], rtol=1e-6)
+    assert "names nose, which the file does not carry (it has neck, Waist)" in caplog.text
+    with open_source(f"c3d:{path}?frame=unreal") as source:  # whose unit is not the file's
+        np.testing.assert_allclose(source.read().xyz[0], [1.5, 0.1, -0.2], rtol=1e-6)
+
+
+def test_labels_that_do_not_fit_a_file_are_told(tmp_path: Path) -> None:
+    path = made(tmp_path / "a.c3d", ["neck", "C7"], np.ones((1, 2, 3)))
+    with pytest.raises(SourceError, match=r"a\.c3d: the option labels .* twice: C7"):
+        open_source(f"c3d:{path}?labels=neck:C7")
+    with pytest.raises(UrlError, match="unknown option unit"):
+        open_source(f"c3d:{path}?unit=mm")

@@ -124,3 +124,28 @@ def test_no_stamp_at_all_does_harm(steps: list[tuple[float, float]]) -> None:
     for step, stamp in steps:
         t += step
         assert math.isfinite(clock_map.map(t, stamp))
+
+
+@pytest.mark.parametrize("stamp", [0.0, 5.0])
+def test_a_stamp_that_stands_still_says_nothing(stamp: float) -> None:
+    true, _, received = line(20.0)
+    mapped, _, counters = through(np.full(len(true), stamp), received)
+    np.testing.assert_allclose(mapped, received)
+    assert not +counters
+
+
+def test_coarse_stamps_do_not_make_frames_later_than_they_came() -> None:
+    _, stamps, received = line(20.0, jitter=0.002)
+    mapped, _, counters = through(np.floor(stamps), received)
+    assert (mapped <= received + 1e-9).all()
+    assert (mapped >= received - 1.5).all()
+    assert not +counters
+
+
+@pytest.mark.parametrize("stamp", [1e29, -1e29, 1e15, math.inf])
+def test_a_stamp_that_is_no_time_is_none(stamp: float) -> None:
+    true, stamps, received = line(20.0)
+    stamps[1200] = stamp
+    mapped, _, counters = through(stamps, received)
+    np.testing.assert_allclose(mapped, true, atol=1e-6)
+    assert not +counters

@@ -339,3 +339,30 @@ def test_a_transport_with_nothing_to_read_waits_no_longer_than_told() -> None:
     clock = VirtualClock()
     with contextlib.closing(UdpTransport("127.0.0.1", 0, clock)) as transport:
         assert transport.receive(0.01) is None
+
+
+@pytest.mark.parametrize("chatter", [build("/heartbeat", ("i", 1)), b"GET / HTTP/1.1\r\n\r\n"])
+@pytest.mark.parametrize("host", [B, C])
+def test_who_sends_nothing_of_use_does_not_keep_the_stream_from_its_owner(
+    line: Line, host: str, chatter: bytes
+) -> None:
+    for i in range(50):  # it was there first
+        assert line.put(host, 0.01 * i, chatter) == []
+    packets = [*stream(LAYOUT, 0, 100), *stream(LAYOUT, 100, 100)]  # a layout once a second
+    frames = []
+    for i, packet in enumerate(packets):
+        frames += line.put(A, 0.5 + 0.01 * i, packet)
+        frames += line.put(host, 0.505 + 0.01 * i, chatter)
+    assert [frame.index for frame in frames[-100:]] == list(range(100, 200))
+
+
+def test_qtm_is_asked_again_though_others_talk(line: Line, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+    monkeypatch.setattr(line.source, "_say_hello", lambda: asked.append(1))
+    for i in range(50):
+        line.put(B, 0.1 * i, build("/heartbeat", ("i", 1)))
+    assert len(asked) >= 4
+    asked.clear()
+    for i, packet in enumerate(stream(LAYOUT, 0, 50)):
+        line.put(A, 6.0 + 0.1 * i, packet)
+    assert len(asked) <= 1

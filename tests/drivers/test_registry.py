@@ -4,7 +4,9 @@ import pytest
 
 from drivers.frame import Layout, SourceError
 from drivers.registry import open_source
+from drivers.udp_sender import AddressError, UdpSender
 from drivers.url import Url, UrlError
+from drivers.wire.registry import take_decoder
 
 
 @pytest.mark.parametrize(
@@ -58,3 +60,26 @@ def test_a_layout_refuses_double_labels_and_impossible_rates() -> None:
         Layout(("C7", "LSHO", "C7"), 120.0)
     with pytest.raises(ValueError, match="rate 0"):
         Layout(("C7",), 0.0)
+
+
+@pytest.mark.parametrize(
+    "wire", ["serial:x?codec=lines", "serial:x?codec=fastrak", "osc://?dialect=vmc"]
+)
+def test_a_rate_that_no_layout_can_have_is_refused(wire: str) -> None:
+    with pytest.raises(UrlError, match="option rate=1e7 is wrong"):
+        take_decoder(Url.parse(f"{wire}&rate=1e7"))
+
+
+def test_an_option_that_is_given_twice_is_not_silently_the_last() -> None:
+    with pytest.raises(UrlError, match="option labels is given twice"):
+        Url.parse("osc://:9100?labels=a:C7&labels=b:LTOE")
+
+
+@pytest.mark.parametrize("host", ["192.168.1..20", "a" * 70])
+def test_a_host_that_cannot_be_one_is_refused_in_plain_words(host: str) -> None:
+    with pytest.raises(SourceError, match=f"cannot listen on UDP {host}:9100"):
+        open_source(f"osc://{host}:9100")
+    with pytest.raises(SourceError, match=f"cannot find {host}"):
+        open_source(f"osc://127.0.0.1:0?dialect=qtm&control={host}")
+    with pytest.raises(AddressError, match=f"cannot send to {host}:9100"):
+        UdpSender(host, 9100)

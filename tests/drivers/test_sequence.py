@@ -145,3 +145,17 @@ def test_a_single_wrong_index_does_not_stop_the_stream(depth: int, wrong: int) -
     lost = set(range(200)) - set(out)
     assert len(lost) <= RESTART + 1
     assert 199 in out
+
+
+@pytest.mark.parametrize("first", [0, 700, 5 * LEAP])
+def test_what_was_lost_before_a_device_started_anew_stays_lost(first: int) -> None:
+    came = [*range(800, 900), *range(910, 1000), *range(first, first + 100)]
+    _, counters = through(came)
+    assert counters["restarts"] == 1
+    assert counters["missing"] == 10
+
+
+def test_what_an_unconfirmed_leap_gave_up_is_not_lost() -> None:
+    out, counters = through([*range(100), 900, *range(100, 200)])
+    assert out == [*range(100), 900, *range(100, 200)]
+    assert counters == Counter(bad_indices=1)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pty
 import termios
+import time
 import tty
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,6 +19,7 @@ from drivers.clock import SYSTEM_CLOCK
 from drivers.frame import Layout, SourceError
 from drivers.registry import open_source
 from drivers.serial_port import SerialPort, SerialTransport
+from drivers.url import UrlError
 from drivers.wire.cobs import CobsEncoder
 from simulators.lines import PtyLine
 
@@ -24,9 +27,10 @@ LAYOUT = Layout(("C7", "LSHO"), 120.0)
 XYZ = np.float32([[1, 2, 3], [4, 5, 6]])
 
 
-def usb(device: Path, number: str | None) -> SimpleNamespace:
+def usb(device: Path, number: str | None, location: str | None = None) -> SimpleNamespace:
     """A port as pyserial lists it."""
-    return SimpleNamespace(device=os.path.realpath(device), serial_number=number)
+    path = os.path.realpath(device)
+    return SimpleNamespace(device=path, serial_number=number, location=location)
 
 
 @pytest.fixture
@@ -98,4 +102,68 @@ def test_a_real_port_that_goes_silent_is_asked_closed_and_opened_again(tmp_path:
         frame = source.read(2.0)
         assert frame is not None
         assert frame.index == 1
+    line.close()
+
+
+def test_a_device_that_takes_nothing_in_does_not_hold_up_the_reader(tmp_path: Path) -> None:
+    device, host = pty.openpty()
+    tty.setraw(host)
+    os.set_blocking(host, False)
+    with contextlib.suppress(BlockingIOError):
+        while True:
+            os.write(host, bytes(4096))  # until nothing more fits in
+    transport = SerialTransport(os.ttyname(host), 9600, SYSTEM_CLOCK)
+    begun = time.monotonic()
+    transport.send(b"hello")
+    assert time.monotonic() - begun < 0.5
+    os.write(device, b"here")
+    assert transport.receive(1.0).data == b"here"
+    transport.close()
+    for end in (device, host):
+        os.close(end)
+
+
+def test_a_port_that_vanishes_while_ports_are_listed_is_only_not_there_yet(
+    tmp_path: Path, usb_ports: list[SimpleNamespace], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    line = PtyLine(tmp_path / "ttyUSB0")
+    usb_ports.append(usb(line.path, "A1"))
+    port = SerialPort(str(line.path), 921_600, SYSTEM_CLOCK)
+    port().close()
+
+    def torn() -> list[SimpleNamespace]:
+        raise TypeError("int() can't convert non-string with explicit base")  # as pyserial does
+
+    with monkeypatch.context() as patch:
+        patch.setattr(list_ports, "comports", torn)
+        with pytest.raises(SourceError, match="USB serial number A1"):
+            port()
+    port().close()
+    line.close()
+
+
+@pytest.mark.parametrize("interfaces", [("1-1:1.0", "1-1:1.2"), (None, None)])
+def test_another_port_with_the_same_number_is_not_taken_for_it(
+    tmp_path: Path, usb_ports: list[SimpleNamespace], interfaces: tuple[str | None, ...]
+) -> None:
+    """Both ports of one adapter have its number, and cheap adapters all have number 0001."""
+    wanted, other = PtyLine(tmp_path / "ttyUSB0"), PtyLine(tmp_path / "ttyUSB1")
+    usb_ports[:] = [
+        usb(line.path, "0001", location)
+        for line, location in zip((wanted, other), interfaces, strict=True)
+    ]
+    port = SerialPort(str(wanted.path), 921_600, SYSTEM_CLOCK)
+    port().close()
+    wanted.close()
+    del usb_ports[0]
+    with pytest.raises(SourceError):
+        port()
+    other.close()
+
+
+@pytest.mark.parametrize("baud", ["0", "-5", "fast", "99999999999"])
+def test_a_rate_that_is_none_is_told_as_one(tmp_path: Path, baud: str) -> None:
+    line = PtyLine(tmp_path / "tracker")
+    with pytest.raises(UrlError, match=f"option baud={baud} is wrong"):
+        open_source(f"serial:{line.path}?baud={baud}")
     line.close()

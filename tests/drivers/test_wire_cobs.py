@@ -144,3 +144,11 @@ def test_positions_that_are_no_numbers_are_refused() -> None:
 def test_labels_that_the_wire_cannot_carry_are_refused() -> None:
     with pytest.raises(ValueError, match="at most 255 markers"):
         CobsEncoder().encode_layout(Layout(tuple(f"m{i}" for i in range(256)), 120.0))
+
+
+@pytest.mark.parametrize("label", ["\x1b[2J", "C7\n", "\x7f"])
+def test_a_label_that_would_upset_a_terminal_is_none(label: str) -> None:
+    decoder = CobsDecoder()
+    decoder.feed(CobsEncoder().encode_layout(Layout((label,), 120.0)), 0.0)
+    assert decoder.layout is None
+    assert decoder.counters["bad_packet"] == 1

@@ -44,7 +44,7 @@ def test_every_frame_survives_the_wire(case) -> None:
     assert encoder.encode_layout(layout) == b""
     here = np.nan_to_num(xyz)
     for i in range(3):
-        decoder.feed(encoder.encode_frame(i, 0.0, here), 0.0)
+        decoder.feed(encoder.encode_frame(i, i - 3.0, here), 0.0)
     (frame,) = decoder.feed(encoder.encode_frame(index, microseconds / 1e6, xyz), 7.0)
     assert frame.layout == layout
     assert (frame.index, frame.t) == (index, 7.0)

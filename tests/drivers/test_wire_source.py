@@ -212,3 +212,72 @@ def test_rubbish_that_never_ends_does_not_hold_read_past_its_deadline() -> None:
         plug.device.send(b"\x07rubbish\0")
     assert source.read(0.0) is None
     assert 0 < source.counters["bytes"] < 2000 * 9
+
+
+def test_rubbish_does_not_hold_back_a_frame_that_waits() -> None:
+    clock = VirtualClock()
+    plug = Plug(clock)
+    source = WireSource("plug", plug.connect, CobsDecoder(), clock, reorder=3)
+    encoder = CobsEncoder()
+    plug.device.send(encoder.encode_layout(LAYOUT))
+    for index in (0, 2):  # 1 is lost, 2 waits for it
+        plug.device.send(encoder.encode_frame(index, 0.0, XYZ))
+
+    def rubbish() -> None:
+        plug.device.send(b"\x07rubbish\0")
+        clock.call_at(clock.now() + 0.01, rubbish)
+
+    rubbish()
+    assert source.read(0.1).index == 0
+    assert source.read(1.0).index == 2
+    assert clock.now() < 0.3
+
+
+def test_a_device_that_comes_back_has_its_own_clock() -> None:
+    clock = VirtualClock(1000.0)
+    plug = Plug(clock)
+    source = WireSource("plug", plug.connect, CobsDecoder(), clock)
+    encoder = CobsEncoder()
+    plug.device.send(encoder.encode_layout(LAYOUT) + encoder.encode_frame(0, 0.1, XYZ))
+    assert source.read(0.1).t_mapped == pytest.approx(1000.0)
+    plug.pull()
+    clock.call_at(1600.0, plug.put_in)
+    assert source.read(601.0) is None
+    plug.device.send(encoder.encode_layout(LAYOUT) + encoder.encode_frame(1, 0.2, XYZ))
+    frame = source.read(0.1)
+    assert frame.t_mapped == pytest.approx(frame.t)
+    assert source.counters["clock_jumps"] == 0
+
+
+def test_a_rate_that_changes_does_not_tell_of_the_labels_again(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    clock = VirtualClock()
+    plug = Plug(clock)
+    convention = Convention(labels={"toe": "LTOE"})
+    source = WireSource("plug", plug.connect, CobsDecoder(), clock, convention=convention)
+    encoder = CobsEncoder()
+    for index, rate in enumerate((120.0, 60.0, 120.0, 60.0)):
+        plug.device.send(encoder.encode_layout(Layout(("neck",), rate)))
+        plug.device.send(encoder.encode_frame(index, 0.0, XYZ))
+        assert source.read(0.1).layout.rate == rate
+    assert caplog.text.count("names toe") == 1
+
+
+def test_a_device_that_starts_anew_on_an_open_line_has_its_own_clock() -> None:
+    """A board that was reset: the adapter stays. Its stamps may be later than the last one."""
+    clock = VirtualClock(1000.0)
+    plug = Plug(clock)
+    source = WireSource("plug", plug.connect, CobsDecoder(), clock)
+    encoder = CobsEncoder()
+    plug.device.send(encoder.encode_layout(LAYOUT))
+    for index in range(9):
+        plug.device.send(encoder.encode_frame(index, 0.1 + index / 120, XYZ))
+        assert source.read(0.1) is not None
+    clock.sleep_until(1600.0)
+    for index in range(9):
+        clock.sleep_until(1600.0 + index / 120)
+        plug.device.send(encoder.encode_frame(index, 0.2 + index / 120, XYZ))
+    frame = source.read(0.1)
+    assert source.counters["restarts"] == 1
+    assert frame.t_mapped == pytest.approx(frame.t)

@@ -25,7 +25,7 @@ def ended(*arguments: str, cwd: Path | None = None) -> tuple[int, str, str]:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], "fetch           captures from the CMU database"),
+        ([], "devices         serial ports, and what is being sent on them"),
         (["fly"], "invalid choice: 'fly'"),
         (["run"], "SOURCE"),
         (["run", "morse:x"], "'morse:x' is no source: known are serial, osc, c3d"),
@@ -68,7 +68,9 @@ def test_what_fails_while_running_is_status_1_and_one_line(arguments, words, tmp
     assert out == ""
 
 
-@pytest.mark.parametrize("command", ["demo", "run", "simulate", "train", "evaluate"])
+@pytest.mark.parametrize(
+    "command", ["demo", "run", "simulate", "train", "evaluate", "convert", "doctor", "devices"]
+)
 def test_every_command_explains_itself(command: str) -> None:
     status, out, err = ended(command, "--help")
     assert (status, err) == (0, "")
@@ -188,24 +190,46 @@ def _children(pid: int) -> list[int]:
     return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
 
-def test_a_summary_that_nobody_can_take_is_an_error_in_one_line() -> None:
-    address = f"osc://127.0.0.1:{free_port()}"
-    command = [
-        sys.executable,
-        "-P",
-        "-m",
-        "bridge.cli",
-        "run",
-        address,
-        "--seconds",
-        "0.1",
-        "--json",
-    ]
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("run", "osc://127.0.0.1:0", "--seconds", "0.1", "--json"),
+        ("doctor", "osc://127.0.0.1:0", "--seconds", "0.1"),
+        ("devices", "/dev/null", "--listen", "0.1"),
+    ],
+)
+def test_an_answer_that_nobody_can_take_is_an_error_in_one_line(arguments) -> None:
+    command = [sys.executable, "-P", "-m", "bridge.cli", *arguments]
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert done.returncode == 1
     assert "cannot write to standard output: " in done.stderr.splitlines()[-1]
     assert "Traceback" not in done.stderr
+
+
+def test_a_session_goes_on_though_its_lines_cannot_be_written(tmp_path: Path) -> None:
+    (tmp_path / "s.toml").write_text(
+        'source = "osc://127.0.0.1:0"\nseconds = 0.5\n[log]\nlines = 0.1\n'
+    )
+    command = [sys.executable, "-P", "-m", "bridge.cli", "run", "--config", tmp_path / "s.toml"]
+    with Path("/dev/full").open("w") as full:
+        assert subprocess.run(command, stderr=full, check=False).returncode == 0
+
+
+def test_a_recording_that_fails_at_its_end_is_told_after_the_summary(tmp_path: Path) -> None:
+    address = f"osc://127.0.0.1:{free_port()}"
+    out = tmp_path / "out"
+    out.mkdir()
+    with running("run", address, "--to", f"c3d:{out / 'x.c3d'}") as bridge:
+        wait_for(lambda: listening(address), "the bridge to listen")
+        out.rmdir()
+        ended("simulate", "performer:walk", "--to", address, "--seconds", "1")
+        bridge.interrupt()
+        status, _, err = bridge.end()
+    assert status == 1
+    assert "poses out: " in err
+    assert "error: " in err.splitlines()[-1]
+    assert "Traceback" not in err
 
 
 def test_a_sink_named_twice_is_refused(tmp_path: Path) -> None:
