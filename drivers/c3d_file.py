@@ -117,8 +117,9 @@ def write_c3d(path: str | Path, layout: Layout, xyz: Floats) -> None:
     try:
         with whole_file(path) as part:
             file.write(str(part))
-    except RuntimeError as error:
-        raise OSError(f"cannot write {path}: {error}") from error
+            check_c3d(part.read_bytes())  # ezc3d does not notice a full disk
+    except (RuntimeError, ValueError) as error:
+        raise OSError(f"cannot write {path}: {error}; is the disk full?") from error
 
 
 class C3dSource(Source):

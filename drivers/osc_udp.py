@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import ipaddress
 import logging
 import select
@@ -63,9 +64,12 @@ class UdpTransport:
             self._socket.bind(address)
         except OSError as error:
             self._socket.close()
-            raise SourceError(
-                f"cannot listen on UDP {host}:{port}: {error}; is another program using it?"
-            ) from error
+            why = {
+                errno.EADDRINUSE: "another program uses it: choose another port",
+                errno.EADDRNOTAVAIL: "this machine has no such address: 0.0.0.0 is all it has",
+                errno.EACCES: "ports below 1024 are the system's: choose another",
+            }.get(error.errno or 0, str(error))
+            raise SourceError(f"cannot listen on UDP {host}:{port}: {why}") from error
         self.host: str = self._socket.getsockname()[0]
         self.port: int = self._socket.getsockname()[1]
         self.receive_buffer = self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)

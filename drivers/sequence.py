@@ -63,7 +63,8 @@ class Sequence:
         if index == self._next:
             self._steady = index + 1
         self._waiting[index] = frame
-        return self._due(self._depth)
+        # One far ahead does not wait: were its index wrong, it would keep its place for long.
+        return self._due(self._depth if index - self._next < OVERTAKEN else 0)
 
     def flush(self) -> list[MarkerFrame]:
         """The frames that still wait, when nothing comes any more."""

@@ -11,8 +11,7 @@ from typing import Any
 from urllib.parse import urlencode
 
 from drivers.clock import SYSTEM_CLOCK, Clock
-from drivers.frame import SourceError
-from drivers.serial_port import SerialTransport, listed_ports
+from drivers.serial_port import PortError, SerialTransport, listed_ports
 from drivers.transport import Received, TransportLost
 from drivers.url import Url
 from drivers.wire.guess import Guess, guess_wire, wires
@@ -83,8 +82,8 @@ def identify(port: Port, seconds: float, clock: Clock = SYSTEM_CLOCK) -> Identit
     for baud in BAUDS[:1] if is_pty else BAUDS:
         try:
             received = _listen(port.path, baud, seconds, clock)
-        except SourceError as error:
-            return Identity(port, trouble=_trouble(port.path, error), heard=heard)
+        except PortError as error:
+            return Identity(port, trouble=error.reason, heard=heard)
         except TransportLost as error:
             return Identity(port, trouble=f"it went away: {error}", heard=heard)
         heard[baud] = sum(len(entry.data) for entry in received)
@@ -95,7 +94,7 @@ def identify(port: Port, seconds: float, clock: Clock = SYSTEM_CLOCK) -> Identit
 
 
 def _listen(path: str, baud: int, seconds: float, clock: Clock) -> list[Received]:
-    """What comes in so many seconds. Raises SourceError or TransportLost."""
+    """What comes in so many seconds. Raises PortError or TransportLost."""
     hellos = {_hello(options) for options in wires("serial")} - {b""}
     transport = SerialTransport(path, baud, clock)
     received = []
@@ -121,17 +120,3 @@ def _address(path: str, baud: int, guess: Guess) -> str:
     options = {**guess.options, "baud": str(baud)}
     written = [f"{name}={value}" for name, value in options.items() if DEFAULTS.get(name) != value]
     return f"serial:{path}" + (f"?{'&'.join(written)}" if written else "")
-
-
-def _trouble(path: str, error: SourceError) -> str:
-    """Why a port cannot be opened, and what to do."""
-    if not Path(path).exists():
-        return "there is no such port"
-    if not os.access(path, os.R_OK | os.W_OK):
-        return (
-            "you may not read it: sudo usermod -aG dialout $USER, then log in again (the group may "
-            "have another name: ls -l tells)"
-        )
-    if "exclusively lock" in str(error) or "busy" in str(error):
-        return "another program uses it"
-    return str(error)

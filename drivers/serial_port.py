@@ -6,6 +6,7 @@ import contextlib
 import os
 import select
 import termios
+from pathlib import Path
 from typing import Any
 
 import serial
@@ -17,6 +18,30 @@ from drivers.transport import Received, TransportLost
 from drivers.url import Url
 from drivers.wire.registry import take_decoder
 from drivers.wire_source import WireSource, reorder_of
+
+
+class PortError(SourceError):
+    """A serial port that cannot be opened. reason: why, and what to do."""
+
+    def __init__(self, path: str, error: Exception) -> None:
+        self.reason = _reason(path, error)
+        super().__init__(f"cannot open serial port {path}: {self.reason}")
+
+
+def _reason(path: str, error: Exception) -> str:
+    if not Path(path).exists():
+        return (
+            "there is no such port: is the device plugged in (or `markerbridge simulate ... --to "
+            f"serial:{path}` running)?"
+        )
+    if not os.access(path, os.R_OK | os.W_OK):
+        return (
+            "you may not read it: sudo usermod -aG dialout $USER, then log in again (the group may "
+            "have another name: ls -l tells)"
+        )
+    if "exclusively lock" in str(error) or "busy" in str(error):
+        return "another program uses it"
+    return str(error)
 
 
 class SerialTransport:
@@ -33,10 +58,7 @@ class SerialTransport:
             self._port = serial.Serial(path, baud, timeout=0, exclusive=True)
             self._keep_dtr()
         except (serial.SerialException, OSError, ValueError, termios.error) as error:
-            raise SourceError(
-                f"cannot open serial port {path}: {error}; is the device plugged in (or "
-                f"`markerbridge simulate ... --to serial:{path}` running), and may you read it?"
-            ) from error
+            raise PortError(path, error) from error
         self.low_latency = self._lower_latency()
 
     def receive(self, timeout: float) -> Received | None:

@@ -21,6 +21,7 @@ from drivers.wire.codec import Decoder
 SILENCE = 1.0  # s without a byte, or on a line of many a frame, before the device is asked again
 ANSWER = 0.25  # s that it gets to answer before the line is closed and opened again
 PATIENCE = 8.0  # s: a line that opens but says nothing is opened again after longer and longer
+SETTLED = 1.0  # s in which a wire without layouts names its markers one by one
 RETRY = 0.1  # s between attempts to open a line that was lost
 ROUNDING = 1e-6  # s by which a wait may end too early
 HELD = 0.1  # s of silence after which frames no longer wait for a late one
@@ -81,12 +82,14 @@ class WireSource(Source):
         self._reopens = reopens
         self._foreign: Layout | None = None
         self._checked: tuple[str, ...] = ()  # their labels when `labels` was last compared
+        self._settled_at = math.inf  # when a layout that lacks labels will have come to stay
         self._transport: Transport | None = connect()
         self._quiet_since = clock.now()
         self._framed = clock.now()  # when the newest frame came
         self._patience = SILENCE
         self._asked = False
         self._try_at = clock.now()
+        self._said_hello = clock.now()
         self._say_hello()
 
     def _receive(self, timeout: float) -> Iterable[MarkerFrame] | None:
@@ -113,6 +116,8 @@ class WireSource(Source):
             self._framed = received.t
         if read or self._reopens:  # a line that several send to may be loud and say nothing
             self._quiet_since = received.t
+        if self._decoder.layout is None and received.t - self._said_hello > ANSWER:
+            self._say_hello()  # the answer was lost
         restarts = self.counters["restarts"]
         ordered = [frame for one in read for frame in self._sequence.put(one)]
         if self.counters["restarts"] > restarts:  # and so has its clock
@@ -127,6 +132,8 @@ class WireSource(Source):
         """Frames of the wire as ours: our labels, metres, and the host's clock."""
         if self._decoder.layout is not self._foreign:
             self._adopt(self._decoder.layout)
+        if self._foreign and self.clock.now() >= self._settled_at:
+            self._tell_lacking(self._foreign)
         finished = []
         for frame in frames:
             if frame.layout is not self._foreign:  # the last before a change
@@ -156,12 +163,17 @@ class WireSource(Source):
         except ValueError as error:
             if not known:
                 log.warning("%s: the option labels does not fit the stream: %s", self.name, error)
-        lacking = self._convention.lacking(foreign)
-        if lacking and not known:
-            log.warning(
-                "%s: the option labels names %s, which the stream does not carry (it has %s)",
-                *(self.name, ", ".join(lacking), ", ".join(foreign.labels)),
-            )
+        if not known:
+            lacks = self._convention.lacking(foreign)
+            self._settled_at = self.clock.now() + SETTLED if lacks else math.inf
+
+    def _tell_lacking(self, foreign: Layout) -> None:
+        """Says which labels of the option the stream has not, once they can be expected."""
+        self._settled_at = math.inf
+        log.warning(
+            "%s: the option labels names %s, which the stream does not carry (it has %s)",
+            *(self.name, ", ".join(self._convention.lacking(foreign)), ", ".join(foreign.labels)),
+        )
 
     def _silent(self) -> list[MarkerFrame] | None:
         """Nothing came: asks the device, then opens the line again."""
@@ -192,6 +204,7 @@ class WireSource(Source):
         return self._framed + HELD if self._sequence.waiting else math.inf
 
     def _say_hello(self) -> None:
+        self._said_hello = self.clock.now()
         if self._decoder.hello and self._transport is not None:
             try:
                 self._transport.send(self._decoder.hello)

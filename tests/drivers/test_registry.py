@@ -51,7 +51,7 @@ def test_a_second_listener_on_a_port_is_refused() -> None:
 
     with open_source("osc://127.0.0.1:0") as first:
         assert isinstance(first, OscSource)
-        with pytest.raises(SourceError, match="is another program using it"):
+        with pytest.raises(SourceError, match="another program uses it"):
             open_source(f"osc://127.0.0.1:{first.port}")
 
 

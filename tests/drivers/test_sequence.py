@@ -144,7 +144,7 @@ def test_a_single_wrong_index_does_not_stop_the_stream(depth: int, wrong: int) -
     out, _ = through(came, depth)
     lost = set(range(200)) - set(out)
     assert len(lost) <= RESTART + 1
-    assert 199 in out
+    assert out[-1] == 199
 
 
 @pytest.mark.parametrize("first", [0, 700, 5 * LEAP])

@@ -196,9 +196,13 @@ def test_labels_that_do_not_fit_the_stream_are_told(caplog: pytest.LogCaptureFix
     plug.device.send(encoder.encode_layout(Layout(("neck",), 120.0)))
     plug.device.send(encoder.encode_frame(0, 0.0, XYZ))
     assert source.read(0.1) is not None
+    assert not caplog.text  # a wire without layouts may name it yet
+    clock.sleep_until(1.1)
+    plug.device.send(encoder.encode_frame(1, 1.1, XYZ))
+    assert source.read(0.1) is not None
     assert "names toe, which the stream does not carry (it has neck)" in caplog.text
     plug.device.send(encoder.encode_layout(Layout(("neck", "C7"), 120.0)))
-    plug.device.send(encoder.encode_frame(1, 0.0, np.ones((2, 3), np.float32)))
+    plug.device.send(encoder.encode_frame(2, 1.2, np.ones((2, 3), np.float32)))
     assert source.read(0.1) is None
     assert "does not fit the stream: marker labels occur twice: C7" in caplog.text
     assert source.counters["bad_layout"] == 1
