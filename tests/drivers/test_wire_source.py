@@ -265,6 +265,7 @@ def test_a_rate_that_changes_does_not_tell_of_the_labels_again(
         plug.device.send(encoder.encode_layout(Layout(("neck",), rate)))
         plug.device.send(encoder.encode_frame(index, 0.0, XYZ))
         assert source.read(0.1).layout.rate == rate
+        clock.sleep_until(clock.now() + 1.5)
     assert caplog.text.count("names toe") == 1
 
 

@@ -70,7 +70,6 @@ def test_devices_names_the_address_that_reads_a_port(tmp_path: Path) -> None:
         absent = tmp_path / "none"
         status, out, err = Command("devices", str(port), str(absent), "--listen", "1").end()
     assert status == 0, err
-    assert out.splitlines() == [
-        f"{port}: write '{to}'",
-        f"{absent}: there is no such port",
-    ]
+    found, none = out.splitlines()
+    assert found == f"{port}: write '{to}'"
+    assert none.startswith(f"{absent}: there is no such port: is the device plugged in")
