@@ -20,6 +20,7 @@ CONNECTION = {"disconnects", "reconnects", "silences"}
 # Counted, but nothing is wrong with it.
 HARMLESS = CONNECTION | {
     *("frames", "bytes", "layouts", "answers", "foreign", "no_markers", "not_ready"),
+    "unconfirmed",  # labels of a wire without layouts, until they have come three times
     *("reordered", "rate_limited", "sent", "recorded"),
 }
 
@@ -35,7 +36,7 @@ class Watch:
     """
 
     def __init__(self, source: str, every: float = LOG_EVERY) -> None:
-        self._source, self._every = source, every
+        self._source, self._every = _short(source), every
         self._sums: dict[str, dict[str, int]] = {}  # counters at the last sum, by name
         self._summed = 0.0  # when the last sum was made
         self._connection = _Connection(source, every)
@@ -69,7 +70,8 @@ class _Connection:
     """Whether a source is there and sends, told when that changes."""
 
     def __init__(self, source: str, every: float) -> None:
-        self._source, self._most = source, every
+        self._source, self._most = _short(source), every
+        self._address = source
         self._told = ""  # what the last line said is wrong: "lost", "silent" or nothing
         self._since = 0.0  # since when
         self._away = False  # at the last look
@@ -132,7 +134,7 @@ class _Connection:
             refused = kinds.get("refused")
             who = "only packets of senders that the option allow does not name come"
             return f"{who}{found}" if refused else "nothing comes"
-        doctor = f"`markerbridge doctor {shlex.quote(self._source)}`, in place of this, tells why"
+        doctor = f"`markerbridge doctor {shlex.quote(self._address)}`, in place of this, tells why"
         return f"{count:,} bytes came, but no frame in them{found}: {doctor}"
 
 
@@ -153,6 +155,11 @@ def watching(source: str, status: Callable[[], Status], every: float = LOG_EVERY
     finally:
         stop.set()
         thread.join()
+
+
+def _short(address: str) -> str:
+    """An address without its options, which may be long."""
+    return address.partition("?")[0]
 
 
 def _growth(before: Mapping[str, int], now: Mapping[str, int]) -> dict[str, int]:
