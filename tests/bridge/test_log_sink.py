@@ -14,7 +14,7 @@ from bridge.model import Model
 from bridge.pose import Pose
 from bridge.session import Session
 from bridge.sinks.registry import open_sink
-from bridge.sinks.sink import Sink, SinkContext, SinkError
+from bridge.sinks.sink import SinkContext, SinkError
 from bridge.truth import Truth
 from drivers.c3d_file import C3dSource, Clip
 from drivers.clock import VirtualClock
@@ -28,24 +28,11 @@ from drivers.wire.cobs import CobsDecoder, CobsEncoder
 from drivers.wire.osc_native import NativeOscDecoder, NativeOscEncoder
 from drivers.wire_source import WireSource
 from simulators.performer import load_performer
+from tests.kept import Keep
 
 MODEL = Model("default")
 TRACKED = Layout(MODEL.info.tracked, 120.0)
 ADDRESS = "serial:/dev/ttyUSB0"
-
-
-class Keep(Sink):
-    name = "keep"
-    waiting = None
-
-    def __init__(self) -> None:
-        self.poses: list[Pose] = []
-
-    def __call__(self, pose: Pose) -> None:
-        self.poses.append(pose)
-
-    def close(self) -> None:
-        pass
 
 
 def walk(count: int) -> Floats:

@@ -10,10 +10,9 @@ import numpy as np
 
 from bridge.estimator import PoseEstimator
 from bridge.model import Model
-from bridge.pose import Pose
 from bridge.session import Session
 from bridge.sinks.registry import open_sink
-from bridge.sinks.sink import Sink, SinkContext
+from bridge.sinks.sink import SinkContext
 from drivers.clock import VirtualClock
 from drivers.frame import Layout
 from drivers.marker_set import MARKERS
@@ -23,23 +22,10 @@ from drivers.wire.cobs import CobsEncoder
 from simulators.lines import PtyLine
 from simulators.performer import load_performer
 from tests.end_to_end.peers import wait_for
+from tests.kept import Keep
 
 MODEL = Model("default")
 LAYOUT = Layout(MODEL.info.tracked, 240.0)
-
-
-class Keep(Sink):
-    name = "keep"
-    waiting = None
-
-    def __init__(self) -> None:
-        self.poses: list[Pose] = []
-
-    def __call__(self, pose: Pose) -> None:
-        self.poses.append(pose)
-
-    def close(self) -> None:
-        pass
 
 
 class Tracker:

@@ -13,7 +13,7 @@ from bridge.estimator import PoseEstimator
 from bridge.model import Model
 from bridge.pose import Pose, Provenance
 from bridge.session import Session
-from bridge.sinks.sink import Sink, SinkContext
+from bridge.sinks.sink import SinkContext
 from bridge.truth import Truth
 from drivers.c3d_file import read_c3d
 from drivers.clock import VirtualClock
@@ -24,6 +24,7 @@ from drivers.wire.osc_native import NativeOscDecoder, NativeOscEncoder
 from drivers.wire_source import WireSource
 from simulators.corruption import Corruption, Faults, Gaps
 from simulators.device import Device, Wire, truth_wire
+from tests.kept import Keep
 
 WIRES = {"serial": (CobsEncoder, CobsDecoder), "osc": (NativeOscEncoder, NativeOscDecoder)}
 
@@ -39,19 +40,6 @@ class Tap:
     def send(self, data: bytes) -> None:
         self.digest.update(data)
         self._end.send(data)
-
-
-class Keep(Sink):
-    name = "keep"
-
-    def __init__(self) -> None:
-        self.poses: list[Pose] = []
-
-    def __call__(self, pose: Pose) -> None:
-        self.poses.append(pose)
-
-    def close(self) -> None:
-        pass
 
 
 def play(
