@@ -25,7 +25,7 @@ def examine(heard: Heard, info: ModelInfo) -> tuple[list[Finding], str]:
             break
         options = {name: value for finding in to_mend for name, value in finding.options.items()}
         address = corrected(heard.address, options)
-        if address == heard.address or not heard.received:
+        if address == heard.address or not heard.can_be_read_again:
             break
         mended += to_mend
         heard = read_again(heard, address)

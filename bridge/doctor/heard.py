@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import threading
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
+from bridge.doctor.finding import corrected
 from drivers.clock import VirtualClock
 from drivers.clock_map import ClockMap
 from drivers.convention import Convention
 from drivers.frame import Floats, MarkerFrame, Source
+from drivers.registry import open_source
 from drivers.transport import Received, memory_line
 from drivers.url import Url
 from drivers.wire.registry import take_decoder
@@ -31,7 +34,7 @@ class Heard:
     """What came from the source at `address`.
 
     received: the bytes, where it is a line. convention, known: how the address says that the
-    stream's world is, and the options that it may have; None and nothing where it is no line.
+    stream's world is, and the options that it may have; None and nothing where it can have none.
     offset (s), drift: of the clock map. receive_buffer: bytes granted to a UDP socket.
     """
 
@@ -45,6 +48,11 @@ class Heard:
     offset: float = math.nan
     drift: float = 0.0
     receive_buffer: int | None = None
+
+    @property
+    def can_be_read_again(self) -> bool:
+        """Whether there is anything to read under other options."""
+        return bool(self.received) or (_is_file(self.address) and bool(self.frames))
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -121,7 +129,13 @@ def listen(source: Source, seconds: float, stop: threading.Event) -> Heard:
 
 
 def read_again(heard: Heard, address: str) -> Heard:
-    """The same bytes as a source at another address reads them: those of the chief sender."""
+    """The same bytes as a source at another address reads them: those of the chief sender; a file
+    once more, as far as it was heard.
+    """
+    if _is_file(address):
+        with open_source(corrected(address, {"speed": "max"})) as file:
+            frames = list(itertools.islice(file, len(heard.frames)))
+        return replace(heard, address=address, frames=frames, convention=_convention(address)[0])
     url = Url.parse(address)
     decoder, convention = take_decoder(url)
     reorder = reorder_of(url)
@@ -152,8 +166,14 @@ def read_again(heard: Heard, address: str) -> Heard:
     )
 
 
+def _is_file(address: str) -> bool:
+    return address.startswith("c3d:")
+
+
 def _convention(address: str) -> tuple[Convention | None, tuple[str, ...]]:
     url = Url.parse(address)
+    if _is_file(address):
+        return Convention.take(url, unit=1.0), tuple(url.known)
     if url.scheme not in WIRES:
         return None, ()
     _, convention = take_decoder(url)

@@ -25,7 +25,9 @@ def world_option(heard: Heard, world: Frame, unit: float) -> dict[str, str]:
         return {}
     options = dict(options_of(replace(joined(now, world), unit=unit)))
     if world == OURS and "frame" not in options:
-        return {"unit": options["unit"]}
+        options = {"unit": options["unit"]}
+    if "unit" not in heard.known:  # a file has its own
+        options.pop("unit", None)
     return options
 
 

@@ -8,6 +8,9 @@ from pathlib import Path
 import pytest
 
 from bridge.cli import main
+from drivers.c3d_file import read_c3d, write_c3d
+from drivers.coordinates import FRAMES
+from drivers.frame import Layout
 from tests.end_to_end.peers import Command, free_port, running, wait_for
 
 SECONDS = "2"
@@ -60,6 +63,22 @@ def test_a_capture_is_examined_too(data_dir: Path) -> None:
     clip = f"c3d:{data_dir / 'real/02_01.c3d'}?speed=max"
     status, out, err = Command("doctor", clip, "--json").end()
     assert (status, json.loads(out)["address"]) == (0, clip), err
+
+
+@pytest.mark.parametrize("frame", ["opengl", "unity"])
+def test_a_foreign_capture_is_mended_too(data_dir: Path, tmp_path: Path, frame: str) -> None:
+    """Another world's axes and names, in a file that says its unit itself."""
+    clip = read_c3d(data_dir / "real/07_01.c3d")
+    layout = Layout(tuple(f"Q_{label}" for label in clip.layout.labels), 120.0)
+    write_c3d(tmp_path / "foreign.c3d", layout, FRAMES[frame].from_ours(clip.xyz[:600]))
+    address = f"c3d:{tmp_path / 'foreign.c3d'}?speed=max"
+    status, out, err = Command("doctor", address, "--json").end()
+    assert status == 1, err
+    found = json.loads(out)["address"]
+    assert f"frame={frame}" in found
+    assert "Q_LWRB:LWRB" in found
+    status, out, err = Command("doctor", found, "--json").end()
+    assert (status, json.loads(out)["address"]) == (0, found), err
 
 
 def test_devices_names_the_address_that_reads_a_port(tmp_path: Path) -> None:
