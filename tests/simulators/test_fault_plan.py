@@ -1,13 +1,14 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
 from drivers.errors import UsageError
 from drivers.marker_set import MARKERS
 from simulators.body_parts import BODY_PARTS
-from simulators.faults.plan import parse_plan, read_plan
+from simulators.faults.plan import KINDS, parse_plan, read_plan
 
 LABELS = ("C7", "LSHO", "RTOE")
 GOOD = """# a bad day
@@ -118,3 +119,12 @@ def test_a_file_that_cannot_be_read(tmp_path: Path, name: str, content: bytes | 
 def test_body_parts_are_of_the_marker_set_and_leave_nothing_out() -> None:
     named = {label for part in BODY_PARTS.values() for label in part}
     assert named == set(MARKERS)
+
+
+def test_what_the_document_says_is_what_there_is() -> None:
+    text = (Path(__file__).parents[2] / "docs/faults.md").read_text()
+    plan = parse_plan(text.split("```toml\n")[1].split("```")[0], MARKERS)
+    assert [fault.kind for fault in plan.fault] == ["occlusion", "loss", "unplug"]
+    for kind in KINDS:
+        (name,) = get_args(kind.model_fields["kind"].annotation)
+        assert f"| `{name}` |" in text
