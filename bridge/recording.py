@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bridge.pose import Provenance
-from bridge.sinks.c3d import LONGEST_GAP
+from bridge.sinks.c3d import lost_between
 from drivers.c3d_file import Clip
 from drivers.frame import Floats, Layout
 from drivers.session_log import SessionLog
@@ -32,7 +32,7 @@ class Sample:
 class Recording:
     """Samples in order, a row for each index: those that never came are missing throughout.
 
-    A step of the index over LONGEST_GAP, or back, is another take: it follows at once. layout: all
+    A step of the index over 1,200, or back, is another take: it follows at once. layout: all
     labels that occur, in the order they do, at the rate that most samples have. rows: how many.
     `read` begins anew at each call, so that a recording of any length takes no memory.
     """
@@ -45,7 +45,7 @@ class Recording:
         last = None
         for sample in read():
             seen[sample.layout] += 1
-            self.rows += 1 if last is None else 1 + _lost(last, sample.index)
+            self.rows += 1 if last is None else 1 + lost_between(last, sample.index)
             last = sample.index
         if not seen:
             raise ValueError("nothing in it can be read")
@@ -59,7 +59,7 @@ class Recording:
         last = None
         for sample in self._read():
             if last is not None:
-                for index in range(last + 1, last + 1 + _lost(last, sample.index)):
+                for index in range(last + 1, last + 1 + lost_between(last, sample.index)):
                     yield Sample(index, self.layout, nowhere)
             last = sample.index
             if sample.layout.labels == self.layout.labels:
@@ -71,12 +71,6 @@ class Recording:
             xyz = nowhere.copy()
             xyz[places[sample.layout]] = sample.xyz
             yield Sample(sample.index, self.layout, xyz)
-
-
-def _lost(last: int, index: int) -> int:
-    """Frames that never came between two indices."""
-    gap = index - last - 1
-    return gap if 0 < gap <= LONGEST_GAP else 0
 
 
 def poses_of(log: SessionLog) -> Iterator[Sample]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -16,6 +15,7 @@ from rich.logging import RichHandler
 from rich.table import Table
 from rich.text import Text
 
+from bridge.repeating import repeating
 from bridge.session import Status
 from drivers.errors import MarkerbridgeError
 
@@ -31,30 +31,24 @@ def shown(
 
     Where nothing can be shown (the terminal is gone, the disk of the log is full) it goes on.
     """
-    stop = threading.Event()
     live = (
         Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
     )
 
     def show() -> None:
-        every = LIVE_EVERY if live else line_every
-        while not stop.wait(every or None):
-            with contextlib.suppress(OSError):
-                if live:
-                    live.update(table(status(), title), refresh=True)
-                else:
-                    console.print(Text(line(status())), soft_wrap=True)
+        with contextlib.suppress(OSError):
+            if live:
+                live.update(table(status(), title), refresh=True)
+            else:
+                console.print(Text(line(status())), soft_wrap=True)
 
-    thread = threading.Thread(target=show, name="terminal", daemon=True)
     if live:
         with contextlib.suppress(OSError):
             live.start()
-    thread.start()
     try:
-        yield
+        with repeating(show, LIVE_EVERY if live else line_every, "terminal"):
+            yield
     finally:
-        stop.set()
-        thread.join()
         if live:
             with contextlib.suppress(OSError):
                 live.stop()

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import logging
 import shlex
-import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
+from bridge.repeating import repeating
 from bridge.session import Status
 
 LOOK = 0.25  # s between looks at the counters
@@ -142,19 +142,8 @@ class _Connection:
 def watching(source: str, status: Callable[[], Status], every: float = LOG_EVERY) -> Iterator[None]:
     """Watches a running session until the block ends."""
     watch = Watch(source, every)
-    stop = threading.Event()
-
-    def look() -> None:
-        while not stop.wait(LOOK):
-            watch.look(status())
-
-    thread = threading.Thread(target=look, name="watch", daemon=True)
-    thread.start()
-    try:
+    with repeating(lambda: watch.look(status()), LOOK, "watch"):
         yield
-    finally:
-        stop.set()
-        thread.join()
 
 
 def _short(address: str) -> str:

@@ -76,9 +76,7 @@ class OwnedSource(WireSource):
             self.counters["sender_changes"] += 1
         if verdict is Verdict.START_ANEW:
             self._ready.extend(self._finished(self._sequence.flush()))
-            self._decoder.reset()
-            self._sequence.reset()
-            self.clock_map.reset()
+            self._start_anew()
         of_no_use = self._of_no_use
         frames = super()._decode(received)
         if not frames and self._of_no_use > of_no_use:

@@ -232,15 +232,19 @@ class WireSource(Source):
             self.clock.sleep_until(min(self._try_at, until))
             return False
         self.counters["reconnects"] += 1
-        self._decoder.reset()
-        self._sequence.reset()
-        self.clock_map.reset()
+        self._start_anew()
         self._quiet_since = self.clock.now()
         self._asked = False
         if self.recorder:
             self.recorder.found(self.name, self._quiet_since)
         self._say_hello()
         return self._transport is not None  # it may be gone again already
+
+    def _start_anew(self) -> None:
+        """What comes from here on may be of another device."""
+        self._decoder.reset()
+        self._sequence.reset()
+        self.clock_map.reset()
 
     def close(self) -> None:
         super().close()

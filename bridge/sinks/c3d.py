@@ -16,6 +16,12 @@ from drivers.url import Url
 LONGEST_GAP = 1200  # frames; a larger jump of the index is another take, not lost frames
 
 
+def lost_between(last: int, index: int) -> int:
+    """Frames that never came between two indices: none where it is another take."""
+    gap = index - last - 1
+    return gap if 0 < gap <= LONGEST_GAP else 0
+
+
 class C3dSink(Sink):
     """Keeps every pose. Lost markers, and frames that the stream lost, are missing samples.
 
@@ -44,9 +50,8 @@ class C3dSink(Sink):
         self._files = 0
 
     def __call__(self, pose: Pose) -> None:
-        gap = pose.index - self._last - 1
-        if self._frames and 0 < gap <= LONGEST_GAP:
-            for _ in range(gap):
+        if self._frames:
+            for _ in range(lost_between(self._last, pose.index)):
                 self._keep(np.full_like(pose.xyz, np.nan))
         lost = pose.provenance[:, None] == Provenance.LOST
         self._keep(np.where(lost, np.nan, pose.xyz))

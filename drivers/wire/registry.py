@@ -30,7 +30,9 @@ DIALECTS = {
 }
 
 
-class _Wire(Protocol):
+class Wire(Protocol):
+    """A module that reads and writes a wire."""
+
     FRAME: str
 
     def open_decoder(self, url: Url) -> Decoder: ...
@@ -50,10 +52,15 @@ def take_encoder(url: Url) -> tuple[Encoder, Convention]:
     return wire.open_encoder(url), Convention.take(url, FRAMES[wire.FRAME])
 
 
-def _take_wire(url: Url) -> _Wire:
+def _take_wire(url: Url) -> Wire:
     if url.scheme == "serial":
-        return cast(_Wire, import_module(url.take("codec", CODECS["cobs"], _among(CODECS))))
-    return cast(_Wire, import_module(url.take("dialect", DIALECTS["native"], _among(DIALECTS))))
+        return cast(Wire, import_module(url.take("codec", CODECS["cobs"], _among(CODECS))))
+    return take_dialect(url)
+
+
+def take_dialect(url: Url) -> Wire:
+    """The OSC dialect that an address names. Raises UrlError."""
+    return cast(Wire, import_module(url.take("dialect", DIALECTS["native"], _among(DIALECTS))))
 
 
 def _among(table: dict[str, str]) -> Callable[[str], str]:

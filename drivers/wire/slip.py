@@ -10,7 +10,6 @@ dialect, `native` unless the option `dialect` names another. The host's hello is
 from __future__ import annotations
 
 from collections import Counter
-from importlib import import_module
 
 import sliplib
 from pythonosc.osc_message_builder import OscMessageBuilder
@@ -19,7 +18,7 @@ from drivers.frame import Floats, Layout, MarkerFrame
 from drivers.url import Url
 from drivers.wire.codec import Decoder, Encoder
 from drivers.wire.packets import PacketBuffer
-from drivers.wire.registry import DIALECTS
+from drivers.wire.registry import Wire, take_dialect
 
 FRAME = "cmu"  # that of `native`; another dialect brings its own
 
@@ -98,24 +97,16 @@ class SlipDecoder:
 
 def open_decoder(url: Url) -> SlipDecoder:
     """The host's side. Takes `dialect`, and what the dialect takes. Raises UrlError."""
-    decoder: Decoder = import_module(_take_dialect(url)).open_decoder(url)
-    return SlipDecoder(decoder)
+    return SlipDecoder(_take_dialect(url).open_decoder(url))
 
 
 def open_encoder(url: Url) -> SlipEncoder:
     """The device's side. Takes `dialect`, and what the dialect takes. Raises UrlError."""
-    encoder: Encoder = import_module(_take_dialect(url)).open_encoder(url)
-    return SlipEncoder(encoder)
+    return SlipEncoder(_take_dialect(url).open_encoder(url))
 
 
-def _take_dialect(url: Url) -> str:
-    """The module of the dialect; its world is that of the stream unless the address has another."""
-    module = url.take("dialect", DIALECTS["native"], _module)
-    url.options.setdefault("frame", import_module(module).FRAME)
-    return module
-
-
-def _module(name: str) -> str:
-    if name not in DIALECTS:
-        raise ValueError(f"known are {', '.join(DIALECTS)}")
-    return DIALECTS[name]
+def _take_dialect(url: Url) -> Wire:
+    """The dialect; its world is that of the stream unless the address has another."""
+    dialect = take_dialect(url)
+    url.options.setdefault("frame", dialect.FRAME)
+    return dialect
