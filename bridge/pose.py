@@ -8,6 +8,7 @@ from enum import IntEnum
 import numpy as np
 import numpy.typing as npt
 
+from bridge.humanoid.skeleton import Posture
 from drivers.frame import Floats
 
 
@@ -26,7 +27,8 @@ class Pose:
 
     index, t: the marker frame's. xyz: (M, 3) float32 metres, world, in the model's marker order.
     provenance: (M,) uint8 of Provenance. sigma: (M,) float32, standard deviation of the error per
-    coordinate, metres.
+    coordinate, metres. posture: the humanoid of these markers; None where no sink wants it, and
+    until all of them are known.
     """
 
     index: int
@@ -34,3 +36,4 @@ class Pose:
     xyz: Floats
     provenance: npt.NDArray[np.uint8]
     sigma: Floats
+    posture: Posture | None = None

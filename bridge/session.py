@@ -9,16 +9,15 @@ import math
 import shlex
 import threading
 from collections import Counter, deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-
 from bridge.estimator import PoseEstimator
+from bridge.humanoid.solver import HumanoidSolver
 from bridge.pose import Pose, Provenance
-from bridge.sinks.outlet import Outlet, Tap
+from bridge.sinks.outlet import COUNTED, Outlet, Tap
 from bridge.sinks.sink import Sink, SinkContext, SinkError
-from bridge.statistics import Durations, Mean
+from bridge.statistics import Ages, Hop, MarkerStatus, Mean, Presence
 from bridge.truth import Truth, rms_mm
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.frame import Floats, Layout, MarkerFrame, Source, SourceError
@@ -37,25 +36,23 @@ POLL = 0.1  # s between looks at whether to stop
 class Status:
     """A session at one moment, for the terminal and for machines; times in seconds, errors in mm.
 
-    age: of a pose when it is estimated, since its frame came. delay: of a frame on the line, more
-    than the quickest of a minute had; None where the device sends no stamps. truth: counters of
-    its source, None where there is none.
+    silent: since a frame was last taken in. ages: by hop. `delay`: of a frame when it comes in,
+    more than the quickest of a minute; none where the device sends no stamps. `queue`: when the
+    estimator takes it, since it came in; `estimate`: when its pose is known, since then as well;
+    and so for each sink `age`, when it is sent. markers: the tracked ones, by label. truth:
+    counters of its source, None where there is none.
     """
 
+    model: str
     seconds: float
+    silent: float
     frames: int
     rate: float
     layout_rate: float | None
-    age_now: float | None
-    age_p50: float | None
-    age_p99: float | None
-    age_max: float | None
-    delay_now: float | None
-    delay_p50: float | None
-    delay_p99: float | None
+    ages: dict[str, Ages]
     rms_mm: float | None  # over all markers, mean of all frames with a known truth
     rms_now_mm: float | None
-    imputed_now: tuple[str, ...]
+    markers: dict[str, MarkerStatus]
     imputed_samples: int
     lost_frames: int
     missing_indices: int
@@ -87,15 +84,18 @@ class Session:
         self._context = context
         self._outlets = [Outlet(sink, clock) for sink in sinks]
         self._recording = [outlet for outlet in self._outlets if outlet.sink.records]
+        wanted = any(sink.wants_posture for sink in sinks)
+        self._humanoid = HumanoidSolver(context.info) if wanted else None
         self._truth = truth
         self._clock = clock
-        self._started = clock.now()
+        self._started = self._taken = clock.now()
         self._fifo: deque[MarkerFrame] = deque()
         self._wake = threading.Condition()
         self._source_error: Exception | None = None
         self._counters: Counter[str] = Counter()
-        self._ages = Durations()
-        self._delays = Durations()
+        self._hops = {name: Hop() for name in ("delay", "queue", "estimate")}
+        info = context.info
+        self._presence = Presence({label: info.labels.index(label) for label in info.tracked})
         self._rms = Mean()
         self._arrivals: deque[float] = deque(maxlen=240)
         self._layout: Layout | None = None
@@ -110,18 +110,19 @@ class Session:
 
         Raises SourceError where the first layout has no marker that the model tracks.
         """
+        self._taken = self._clock.now()
         if frame.layout is not self._layout:
             self._adopt(frame.layout)
         if self._truth:
             self._truth.receive()
         self._record(frame)
         pose = self._estimator.step(frame)
+        if self._humanoid:
+            pose = replace(pose, posture=self._humanoid.solve(pose))
+        estimated = self._clock.now()
         for outlet in self._outlets:
             outlet.put(pose)
-        self._ages.add(self._clock.now() - frame.t)
-        if not (math.isnan(frame.t_device) or math.isnan(frame.t_mapped)):
-            self._delays.add(frame.t - frame.t_mapped)
-        self._count(frame, pose)
+        self._count(frame, pose, estimated)
         return pose
 
     def run(self, stop: threading.Event, seconds: float | None = None) -> None:
@@ -129,7 +130,7 @@ class Session:
 
         Raises what the source raised, after all that it delivered has been handled.
         """
-        self._started = self._clock.now()
+        self._started = self._taken = self._clock.now()
         end = None if seconds is None else self._started + seconds
         for outlet in self._outlets:
             outlet.start()
@@ -182,27 +183,18 @@ class Session:
 
     def status(self) -> Status:
         """What the session has done so far."""
-        pose = self.last_pose
-        imputed: tuple[str, ...] = ()
-        if pose is not None:
-            labels = self._context.info.labels
-            at = np.flatnonzero(pose.provenance == Provenance.IMPUTED)
-            imputed = tuple(labels[marker] for marker in at)
+        now = self._clock.now()
         return Status(
-            seconds=self._clock.now() - self._started,
+            model=str(self._estimator.model.path),
+            seconds=now - self._started,
+            silent=now - self._taken,
             frames=self._counters["frames"],
             rate=self._recent_rate(),
             layout_rate=self.source.layout.rate if self.source.layout else None,
-            age_now=self._ages.last,
-            age_p50=self._ages.quantile(0.50),
-            age_p99=self._ages.quantile(0.99),
-            age_max=self._ages.maximum if self._ages.count else None,
-            delay_now=self._delays.last,
-            delay_p50=self._delays.quantile(0.50),
-            delay_p99=self._delays.quantile(0.99),
+            ages={name: hop.ages(now) for name, hop in self._hops.items()},
             rms_mm=self._rms.mean,
             rms_now_mm=self._rms.last,
-            imputed_now=imputed,
+            markers=self._presence.markers(now),
             imputed_samples=self._counters["imputed"],
             lost_frames=self._counters["lost"],
             missing_indices=self.source.counters["missing"],
@@ -211,10 +203,9 @@ class Session:
             truth=dict(self._truth.source.counters) if self._truth else None,
             sinks={
                 outlet.sink.name: {
-                    **{name: outlet.counters[name] for name in ("sent", "dropped", "rate_limited")},
-                    "errors": outlet.counters["errors"],
-                    "age_p50": outlet.ages.quantile(0.50),
-                    "age_p99": outlet.ages.quantile(0.99),
+                    **{name: outlet.counters[name] for name in COUNTED},
+                    "last_error": outlet.last_error,
+                    "age": outlet.hop.ages(now),
                 }
                 for outlet in self._outlets
             },
@@ -285,8 +276,13 @@ class Session:
             with self._wake:
                 self._wake.notify_all()
 
-    def _count(self, frame: MarkerFrame, pose: Pose) -> None:
+    def _count(self, frame: MarkerFrame, pose: Pose, estimated: float) -> None:
         self.last_pose = pose
+        if not (math.isnan(frame.t_device) or math.isnan(frame.t_mapped)):
+            self._hops["delay"].passed(frame.t_mapped, frame.t)
+        self._hops["queue"].passed(frame.t, self._taken)
+        self._hops["estimate"].passed(frame.t, estimated)
+        self._presence.add(pose.provenance, frame.t)
         self._counters["frames"] += 1
         self._counters["imputed"] += int((pose.provenance == Provenance.IMPUTED).sum())
         self._counters["lost"] += bool((pose.provenance == Provenance.LOST).all())

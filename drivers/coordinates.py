@@ -58,6 +58,13 @@ class Frame:
         """(..., 3) metres of ours as theirs, in their unit."""
         return xyz if self._is_ours else (xyz / self.scale)[..., np.argsort(self.order)]
 
+    def rotations_from_ours(self, quaternions: Floats) -> Floats:
+        """(..., 4) unit quaternions x, y, z, w of ours as theirs: the axis goes with the world, and
+        where that is left-handed, turning about it is the other way round.
+        """
+        axis = quaternions[..., :3] * (np.sign(self.scale) * (-1.0 if self.left_handed else 1.0))
+        return np.concatenate([axis[..., np.argsort(self.order)], quaternions[..., 3:]], axis=-1)
+
 
 FRAMES = {
     "cmu": Frame("x,y,z"),

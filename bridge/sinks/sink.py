@@ -43,13 +43,15 @@ class Sink(ABC):
 
     waiting: how many poses may wait for it before the oldest is dropped (and counted); None: any
     number, nothing is dropped. rate: most poses a second; beyond it the newest wins. 0: no limit.
-    records: whether it is also told all that comes in, by `record`.
+    records: whether it is also told all that comes in, by `record`. wants_posture: whether its
+    poses are to have one.
     """
 
     name: str
     waiting: int | None = 120
     rate: float = 0.0
     records: bool = False
+    wants_posture: bool = False
 
     @abstractmethod
     def __call__(self, pose: Pose) -> None:

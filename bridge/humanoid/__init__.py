@@ -1,0 +1,1 @@
+"""From markers to a body: joints, bones and how they are turned, as engines want them."""
