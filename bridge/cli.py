@@ -31,6 +31,7 @@ COMMANDS = {
         "training.select_command:main",
         "which markers to track: a study of how stable the choice is",
     ),
+    "view": ("bridge.view.command:main", "look at a recording, or make a picture of it"),
     "convert": ("bridge.convert_command:main", "a recorded session as C3D, TRC or CSV"),
     "fetch": ("training.fetch_command:main", "captures from the CMU database, with a manifest"),
     "doctor": (

