@@ -14,6 +14,7 @@ import pytest
 from onnx import numpy_helper
 
 from bridge.estimator import PoseEstimator
+from bridge.humanoid.body import measured
 from bridge.model import Model
 from drivers.c3d_file import read_c3d, write_c3d
 from drivers.frame import Layout, MarkerFrame
@@ -60,6 +61,13 @@ def mine(networks, walk, tmp_path_factory) -> Model:
     path = tmp_path_factory.mktemp("networks") / "mine.onnx"
     path.write_bytes(calibrated(networks, walk[:130], 120.0))
     return Model(path)
+
+
+def test_it_knows_how_the_person_is_built(mine, networks, walk) -> None:
+    assert networks.info.proportions is None
+    order = [MARKERS.index(label) for label in mine.info.labels]
+    build = measured(mine.info.labels, walk[:130, order][::7])
+    np.testing.assert_allclose(mine.info.proportions, build.values, atol=0.02)
 
 
 def _errors(model: Model, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
