@@ -40,7 +40,7 @@ class Frame:
         """(3, 3): ours = theirs @ turn, but for the unit; a signed permutation."""
         return np.sign(self.scale) * np.eye(3, dtype=np.float32)[:, self.order]
 
-    @property
+    @cached_property
     def left_handed(self) -> bool:
         """Whether a right hand's coordinates, read as they are, would be a left hand's."""
         return bool(np.linalg.det(self.turn) < 0)

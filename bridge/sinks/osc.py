@@ -2,23 +2,25 @@
 
 /markerbridge/layout  d rate in Hz, then s per label (first, and once a second)
 /markerbridge/pose    i index, d seconds since the first pose, s provenance (a letter per
-                      marker: M measured, I imputed, E estimated, L lost), f f f metres per
-                      marker, then f sigma in metres per marker
+                      marker: M measured, I imputed, E estimated, L lost), f f f per marker, then
+                      f sigma per marker; metres and our axes, unless the address says otherwise
 """
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
-from pythonosc.osc_message_builder import OscMessageBuilder
 
 from bridge.pose import Pose, Provenance
-from bridge.sinks.sink import Sink, SinkContext
-from drivers.frame import Layout
-from drivers.options import positive
-from drivers.udp_sender import UdpSender
+from bridge.sinks.engine import Profile
+from bridge.sinks.markers import MarkerSink
+from bridge.sinks.sink import SinkContext
+from drivers.coordinates import OURS
 from drivers.url import Url
+from drivers.wire.osc import build
 from drivers.wire.osc_native import NativeOscEncoder
 
 POSE_ADDRESS = "/markerbridge/pose"
@@ -27,44 +29,34 @@ _LETTERS = np.frombuffer("".join(kind.name[0] for kind in Provenance).encode(), 
 _HEAD = struct.Struct(">id")
 
 
-class OscSink(Sink):
+class OscSink(MarkerSink):
     """All markers of each pose with provenance and sigma, one message a frame."""
 
+    profile = Profile(9200, 0.0, OURS)
+
     def __init__(self, url: Url, context: SinkContext) -> None:
-        self.name = url.text
-        self.rate = url.take("rate", 0.0, positive)
-        url.finish()
-        self._out = UdpSender(*url.address(9200))
+        super().__init__(url, context)
         self._context = context
-        labels = len(context.info.labels)
+        labels = len(self._layout.labels)
         self._padding = b"\0" * (4 - labels % 4)
-        prototype = OscMessageBuilder(POSE_ADDRESS)
-        prototype.add_arg(0, "i")
-        prototype.add_arg(0.0, "d")
-        prototype.add_arg("M" * labels, "s")
-        for _ in range(4 * labels):
-            prototype.add_arg(0.0, "f")
+        floats = [("f", 0.0)] * (4 * labels)
+        prototype = build(POSE_ADDRESS, ("i", 0), ("d", 0.0), ("s", "M" * labels), *floats)
         size = _HEAD.size + labels + len(self._padding) + 16 * labels
         # Address and type tags never change: only what follows them is made anew.
-        self._prefix = prototype.build().dgram[:-size]
-        self._start: float | None = None
-        self._layout_due = 0.0
+        self._prefix = prototype[:-size]
+        self._layout_due = -np.inf
 
-    def __call__(self, pose: Pose) -> None:
-        if self._start is None:
-            self._start = self._layout_due = pose.t
+    def _datagrams(self, pose: Pose) -> Iterator[bytes]:
         if pose.t >= self._layout_due:
-            layout = Layout(self._context.info.labels, self._context.rate)
-            self._out.send(NativeOscEncoder().encode_layout(layout))
+            layout = replace(self._layout, rate=self._context.rate)
+            yield NativeOscEncoder().encode_layout(layout)
             self._layout_due = pose.t + LAYOUT_EVERY
-        self._out.send(
+        sigma = pose.sigma / np.float32(self._convention.frame.unit)
+        yield (
             self._prefix
-            + _HEAD.pack(pose.index & 0x7FFFFFFF, pose.t - self._start)
+            + _HEAD.pack(pose.index & 0x7FFFFFFF, self._seconds(pose))
             + _LETTERS[pose.provenance].tobytes()
             + self._padding
-            + pose.xyz.astype(">f4").tobytes()
-            + pose.sigma.astype(">f4").tobytes()
+            + self._xyz(pose).astype(">f4").tobytes()
+            + sigma.astype(">f4").tobytes()
         )
-
-    def close(self) -> None:
-        self._out.close()

@@ -10,6 +10,9 @@ from drivers.url import Url, UrlError
 
 SINKS = {
     "vmc": "bridge.sinks.vmc:VmcSink",
+    "vrchat": "bridge.sinks.vrchat:VrchatSink",
+    "vmt": "bridge.sinks.vmt:VmtSink",
+    "qtm-osc": "bridge.sinks.qtm_osc:QtmOscSink",
     "osc": "bridge.sinks.osc:OscSink",
     "c3d": "bridge.sinks.c3d:C3dSink",
     "view": "bridge.sinks.view:ViewSink",

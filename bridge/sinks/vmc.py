@@ -1,113 +1,85 @@
-"""Virtual Motion Capture protocol: `vmc://127.0.0.1:39539`, every marker as a tracker.
+"""Virtual Motion Capture protocol: `vmc://127.0.0.1:39539`, bones and trackers in Unity's space.
 
-Per frame one bundle: /VMC/Ext/OK i, /VMC/Ext/T f (seconds since the first pose: epoch seconds
-would not fit a float32), /VMC/Ext/Tra/Pos s 7f per marker (its label; position in Unity's space;
-no rotation: a marker is a point). See https://protocol.vmc.info.
+    /VMC/Ext/OK        i 1; 0 while there is no pose to show, and then no more than the time
+    /VMC/Ext/T         f seconds since the first pose
+    /VMC/Ext/Root/Pos  s "root", 7 f: at the origin
+    /VMC/Ext/Bone/Pos  s UnityEngine.HumanBodyBones, 7 f: against its parent; only bones we have
+    /VMC/Ext/Tra/Pos   s a marker's label, 7 f: in the world, turned as the bone it sits on
+
+7 f are a position in metres and a quaternion x, y, z, w. As on protocol.vmc.info (marionette-spec):
+the first form of OK and of Root, which every receiver reads. Bones are those of a normalised
+humanoid, as VRM 0 has it: no rotation in the T-pose.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable
 
 import numpy as np
-from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
-from pythonosc.osc_message import OscMessage
-from pythonosc.osc_message_builder import OscMessageBuilder
 
+from bridge.humanoid.skeleton import BONES
 from bridge.pose import Pose
-from bridge.sinks.sink import Sink, SinkContext
+from bridge.sinks.bundles import Bundles, Selection, template
+from bridge.sinks.engine import EngineSink, Profile, joined, one_of
+from bridge.sinks.sink import SinkContext
+from bridge.sinks.trackers import bone_rows
+from bridge.uncertainty import Bones, Points
 from drivers.coordinates import FRAMES
 from drivers.options import positive
-from drivers.udp_sender import UdpSender
 from drivers.url import Url
 
-_BUNDLE_HEAD = 16  # bytes: "#bundle" and the time tag
+_NO_ROTATION = np.array([0.0, 0.0, 0.0, 1.0], np.float32)
+_ROOT = np.append(np.zeros(3, np.float32), _NO_ROTATION)
 
 
-class VmcSink(Sink):
-    """Trackers for VMC receivers. Before the first known pose it says "not ready" (OK 0)."""
+class VmcSink(EngineSink):
+    """Options: `send` (bones, trackers or both), `hips` (metres: the height of the avatar's in its
+    rest pose, to which all positions are scaled). Trackers alone come without root and rotations.
+    """
+
+    profile = Profile(39539, 250.0, FRAMES["unity"])  # receivers have crashed above
 
     def __init__(self, url: Url, context: SinkContext) -> None:
-        self.name = url.text
-        self.rate = url.take("rate", 250.0, positive)  # receivers have crashed above
-        url.finish()
-        self._out = UdpSender(*url.address(39539))
-        trackers = [_tracker(label) for label in context.info.labels]
-        self._known = _Bundles([_ok(1), _time(), *trackers], self._out.limit)
-        self._unknown = _Bundles([_ok(0), _time()], self._out.limit)
-        self._start: float | None = None
+        send = url.take("send", "both", one_of("both", "bones", "trackers"))
+        self._height = url.take("hips", None, positive)
+        super().__init__(url, context)
+        self._with_bones, with_markers = send != "trackers", send != "bones"
+        self.wants_posture = self._with_bones or self.caution.moves or self._height is not None
+        labels = context.info.labels if with_markers else ()
+        names = BONES if self._with_bones else ()
+        self._markers = len(labels)
+        self._bones = Bones(self.caution)
+        self._points = Points(self.caution, bone_rows(labels))
+        head = [template("/VMC/Ext/OK", ("i", 1)), template("/VMC/Ext/T", floats=1)]
+        if self._with_bones:
+            head.append(template("/VMC/Ext/Root/Pos", ("s", "root"), floats=7))
+        things = [template("/VMC/Ext/Bone/Pos", ("s", name), floats=7) for name in names]
+        things += [template("/VMC/Ext/Tra/Pos", ("s", label), floats=7) for label in labels]
+        self._known = Selection(head, things, self._out.limit)
+        waiting = [template("/VMC/Ext/OK", ("i", 0)), template("/VMC/Ext/T", floats=1)]
+        self._unknown = Bundles(waiting, self._out.limit)
 
-    def __call__(self, pose: Pose) -> None:
-        if self._start is None:
-            self._start = pose.t
-        seconds = pose.t - self._start
-        if np.isnan(pose.xyz).any():
-            bundles = self._unknown.filled(np.array([seconds]))
+    def _datagrams(self, pose: Pose) -> Iterable[bytes | bytearray]:
+        seconds = np.array([self._seconds(pose)], np.float32)
+        if not self._is_known(pose):
+            return self._unknown.filled(seconds)
+        posture = pose.posture
+        xyz, sigma = pose.xyz[: self._markers], pose.sigma[: self._markers]
+        xyz, turns, shown = self._points(pose.t, xyz, sigma, posture)
+        if posture is not None and self._with_bones:
+            bones = self._bones(pose.t, posture)
+            places = posture.rest.copy()
+            places[0] = bones.hips
+            xyz = np.concatenate([places, xyz])
+            turns = np.concatenate([bones.local, turns])
+            shown = np.concatenate([bones.shown, shown])
         else:
-            trackers = np.zeros((len(pose.xyz), 7))
-            trackers[:, :3] = FRAMES["unity"].from_ours(pose.xyz)
-            trackers[:, 6] = 1.0
-            bundles = self._known.filled(np.concatenate(([seconds], trackers.ravel())))
-        for bundle in bundles:
-            self._out.send(bundle)
-
-    def close(self) -> None:
-        self._out.close()
-
-
-class _Bundles:
-    """Messages built once, in bundles of at most `limit` bytes; then only their floats change."""
-
-    def __init__(self, messages: list[OscMessage], limit: int) -> None:
-        self._parts: list[tuple[bytearray, np.ndarray]] = []
-        for group in _grouped(messages, limit):
-            builder = OscBundleBuilder(IMMEDIATELY)
-            places: list[int] = []
-            end = _BUNDLE_HEAD
-            for message in group:
-                builder.add_content(message)
-                end += 4 + len(message.dgram)
-                floats = sum(isinstance(value, float) for value in message.params)
-                # The floats are the last arguments of every message here, and all is 4-aligned.
-                places.extend(range(end // 4 - floats, end // 4))
-            self._parts.append((bytearray(builder.build().dgram), np.array(places, int)))
-
-    def filled(self, values: np.ndarray) -> Iterator[bytearray]:
-        """The bundles with `values` for their floats, in order; overwritten by the next call."""
-        for datagram, places in self._parts:
-            np.frombuffer(datagram, ">f4")[places] = values[: len(places)]
-            values = values[len(places) :]
-            yield datagram
-
-
-def _grouped(messages: list[OscMessage], limit: int) -> Iterator[list[OscMessage]]:
-    group: list[OscMessage] = []
-    size = _BUNDLE_HEAD
-    for message in messages:
-        length = 4 + len(message.dgram)
-        if group and size + length > limit:
-            yield group
-            group, size = [], _BUNDLE_HEAD
-        group.append(message)
-        size += length
-    yield group
-
-
-def _ok(value: int) -> OscMessage:
-    builder = OscMessageBuilder("/VMC/Ext/OK")
-    builder.add_arg(value, "i")
-    return builder.build()
-
-
-def _time() -> OscMessage:
-    builder = OscMessageBuilder("/VMC/Ext/T")
-    builder.add_arg(0.0, "f")
-    return builder.build()
-
-
-def _tracker(label: str) -> OscMessage:
-    builder = OscMessageBuilder("/VMC/Ext/Tra/Pos")
-    builder.add_arg(label, "s")
-    for _ in range(7):
-        builder.add_arg(0.0, "f")
-    return builder.build()
+            turns = np.broadcast_to(_NO_ROTATION, turns.shape)
+        if posture is not None and self._height is not None:
+            # As large as the avatar, whose hips would float else, or sink into the floor.
+            xyz = xyz * (np.float32(self._height) / posture.rest[0, 2])
+        frame = self.profile.frame
+        floats = joined(frame.from_ours(xyz), frame.rotations_from_ours(turns))
+        if self._with_bones:
+            seconds = np.concatenate([seconds, _ROOT])
+        return self._known.filled(floats, shown, seconds)

@@ -38,6 +38,28 @@ def test_right_front_and_up_are_where_the_engine_has_them(name: str) -> None:
     assert turns != (name in LEFT_HANDED)
 
 
+# Quaternions x, y, z, w of two quarter turns: to the left, about up; and raising the left arm,
+# about forward. About an axis that points the other way it is the other way round, and so it is in
+# a left hand's world (Unreal's yaw grows to the right, Unity's too).
+S = 0.5**0.5
+TURNS = {
+    "cmu": [(0, 0, S, S), (0, S, 0, S)],
+    "c3d": [(0, 0, S, S), (0, S, 0, S)],
+    "ros": [(0, 0, S, S), (S, 0, 0, S)],
+    "opengl": [(0, S, 0, S), (0, 0, -S, S)],
+    "steamvr": [(0, S, 0, S), (0, 0, -S, S)],
+    "unity": [(0, -S, 0, S), (0, 0, -S, S)],
+    "unreal": [(0, 0, -S, S), (-S, 0, 0, S)],
+    "fastrak": [(0, 0, -S, S), (S, 0, 0, S)],
+}
+
+
+@pytest.mark.parametrize("name", FRAMES)
+def test_turning_and_raising_an_arm_are_what_the_engine_calls_so(name: str) -> None:
+    ours, theirs = np.float32(TURNS["cmu"]), np.float32(TURNS[name])
+    np.testing.assert_array_equal(FRAMES[name].rotations_from_ours(ours), theirs)
+
+
 axes = st.permutations(["x", "y", "z"]).flatmap(
     lambda names: st.tuples(*(st.sampled_from([name, "-" + name]) for name in names))
 )
@@ -51,6 +73,29 @@ def test_there_and_back_is_the_same(text: str, unit: str) -> None:
     back = frame.to_ours(frame.from_ours(xyz))
     assert back.dtype == np.float32
     np.testing.assert_allclose(back, xyz, rtol=1e-5, atol=1e-6)
+
+
+def turned(quaternions: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Vectors turned by quaternions, in any world: the formula knows no hand."""
+    axis, w = quaternions[:, :3], quaternions[:, 3:]
+    once = np.cross(axis, vectors)
+    return vectors + 2 * w * once + 2 * np.cross(axis, once)
+
+
+@given(axes.map(",".join), st.sampled_from(sorted(UNITS)), st.integers(0, 99))
+def test_turned_and_then_converted_is_converted_and_then_turned(
+    text: str, unit: str, seed: int
+) -> None:
+    frame = Frame(parse_axes(text), parse_unit(unit))
+    random = np.random.default_rng(seed)
+    turns = random.normal(size=(5, 4))
+    turns /= np.linalg.norm(turns, axis=1, keepdims=True)
+    vectors = random.normal(size=(5, 3))
+    theirs = frame.rotations_from_ours(turns)
+    np.testing.assert_allclose(np.linalg.norm(theirs, axis=1), 1.0)
+    np.testing.assert_allclose(
+        turned(theirs, frame.from_ours(vectors)), frame.from_ours(turned(turns, vectors)), rtol=1e-4
+    )
 
 
 def test_our_own_world_is_passed_on_untouched() -> None:

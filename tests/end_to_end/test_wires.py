@@ -108,7 +108,7 @@ def test_two_shells_with_dropped_markers_and_vmc_out(data_dir: Path, tmp_path: P
     for datagram in receiver.datagrams[:: len(receiver.datagrams) // 10]:
         contents = list(OscBundle(datagram))
         assert [m.address for m in contents[:2]] == ["/VMC/Ext/OK", "/VMC/Ext/T"]
-        assert len(contents) == 2 + 41
+        assert len(contents) == 3 + 19 + 41
     assert not port.is_symlink()
 
 

@@ -1,0 +1,105 @@
+"""What all sinks of engines share: OSC over UDP, the options, and what their receivers need."""
+
+from __future__ import annotations
+
+import re
+from abc import abstractmethod
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from bridge.pose import Pose, Provenance
+from bridge.sinks.sink import Sink, SinkContext
+from bridge.uncertainty import Caution, Policy
+from drivers.coordinates import UNITS, Frame
+from drivers.frame import Floats
+from drivers.options import positive
+from drivers.udp_sender import UdpSender
+from drivers.url import Url
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """What the receivers of a protocol need.
+
+    port: theirs; None: the address names it. rate: the most bundles a second; 0: any number.
+    frame: their coordinates.
+    """
+
+    port: int | None
+    rate: float
+    frame: Frame
+
+
+class EngineSink(Sink):
+    """Makes datagrams of each pose and sends them; whether anybody listens makes no difference.
+
+    A protocol has a profile, takes the options that only it has, and writes `_datagrams`.
+    """
+
+    profile: Profile
+
+    def __init__(self, url: Url, context: SinkContext) -> None:
+        """Raises UrlError, and AddressError where the host is unknown."""
+        self.name = url.text
+        self.rate = url.take("rate", self.profile.rate, positive)
+        self.caution = Caution(
+            url.take("uncertain", Policy.SHOW, parse_policy),
+            url.take("sigma", Caution().threshold, parse_length),
+        )
+        url.finish()
+        self._out = UdpSender(*url.address(self.profile.port))
+        self._start: float | None = None
+
+    @abstractmethod
+    def _datagrams(self, pose: Pose) -> Iterable[bytes | bytearray]:
+        """What is sent of a pose; each is sent before the next is made."""
+
+    def __call__(self, pose: Pose) -> None:
+        if self._start is None:
+            self._start = pose.t
+        for datagram in self._datagrams(pose):
+            self._out.send(datagram)
+
+    def _seconds(self, pose: Pose) -> float:
+        """Since the first pose: seconds since 1970 step by 128 in a float32."""
+        return pose.t - (pose.t if self._start is None else self._start)
+
+    def _is_known(self, pose: Pose) -> bool:
+        """Whether there is a pose to show: a lost one is not, unless it fades or is held."""
+        if self.wants_posture and pose.posture is None:
+            return False
+        return self.caution.moves or not bool((pose.provenance == Provenance.LOST).all())
+
+    def close(self) -> None:
+        self._out.close()
+
+
+def one_of(*words: str) -> Callable[[str], str]:
+    """An option that is one of these words."""
+
+    def read(text: str) -> str:
+        if text not in words:
+            raise ValueError(f"known are {', '.join(words)}")
+        return text
+
+    return read
+
+
+def parse_policy(text: str) -> Policy:
+    """What becomes of what is in doubt. Raises ValueError."""
+    return Policy(one_of(*Policy)(text))
+
+
+def parse_length(text: str) -> float:
+    """`80mm` as metres. Raises ValueError."""
+    match = re.fullmatch(r"([0-9.]+)([a-z]+)", text.strip())
+    if not match or match[2] not in UNITS:
+        raise ValueError("write a length with its unit, for example 80mm")
+    return positive(match[1]) * UNITS[match[2]]
+
+
+def joined(*parts: Floats) -> Floats:
+    """Rows of positions and rotations beside each other; none of their zeros negative."""
+    return np.concatenate(parts, axis=-1) + np.float32(0.0)
