@@ -116,9 +116,14 @@ class PoseEstimator:
 
     def step(self, frame: MarkerFrame) -> Pose:
         """The pose at a frame; with too few tracked markers the last one, and soon all lost."""
+        frames = 1 if self._index is None else frame.index - self._index
+        if not 0 < frames <= HOLD * frame.layout.rate:
+            self.reset()  # the line was gone for long, or the device started anew
+            frames = 1
         if frame.layout is not self._layout:
             self._adopt(frame.layout)
-        interval = self._interval(frame)
+        self._index = frame.index
+        interval = frames / frame.layout.rate  # lost frames count
         measured: Floats = np.full((len(self._tracked), 3), np.nan, np.float32)
         measured[self._carried] = frame.xyz[self._columns]
         measured = self._filter.update(measured, interval)
@@ -148,13 +153,6 @@ class PoseEstimator:
         if self._layout is None or layout.rate != self._layout.rate:
             self.regression.reset(layout.rate)
         self._layout = layout
-
-    def _interval(self, frame: MarkerFrame) -> float:
-        """Seconds since the frame before: lost frames count, a device that starts anew does not."""
-        frames = 1 if self._index is None else frame.index - self._index
-        self._index = frame.index
-        rate = frame.layout.rate
-        return frames / rate if 0 < frames <= rate else 1.0 / rate
 
     def _estimate(self, measured: Floats, present: Mask, interval: float) -> tuple[Floats, Floats]:
         """The pose (M, 3) in the world and its sigma (M,): all tracked markers first, wherever

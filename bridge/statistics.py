@@ -2,35 +2,137 @@
 
 from __future__ import annotations
 
-import numpy as np
+from bisect import bisect_left
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import accumulate
+from statistics import median_low
 
-_EDGES = np.geomspace(1e-6, 100.0, 801)  # s; 2.3 % a step
+import numpy as np
+import numpy.typing as npt
+
+from bridge.pose import Provenance
+
+LATELY = 1.0  # s that "now" means
+KEPT = 1024  # passages of the last second that a hop knows: fewer than that at most rates
+
+_EDGES: list[float] = np.geomspace(1e-6, 100.0, 801).tolist()  # s; 2.3 % a step
 
 
 class Durations:
     """Quantiles of durations, to within 2.3 %."""
 
     def __init__(self) -> None:
-        self._counts = np.zeros(len(_EDGES) + 1, int)
+        self._counts = [0] * (len(_EDGES) + 1)
         self.count = 0
         self.maximum = 0.0
-        self.last: float | None = None
 
     def add(self, seconds: float) -> None:
-        """Counts a duration; a negative one (a clip played ahead of its time) is none."""
-        if seconds < 0:
-            return
-        self._counts[np.searchsorted(_EDGES, seconds)] += 1
+        """Counts a duration, 0 or more."""
+        self._counts[bisect_left(_EDGES, seconds)] += 1
         self.count += 1
-        self.last = seconds
         self.maximum = max(self.maximum, seconds)
 
     def quantile(self, share: float) -> float | None:
         """Seconds that this share of the durations does not exceed; None where there are none."""
-        if not self.count:
+        sums = list(accumulate(self._counts))
+        if not sums[-1]:
             return None
-        bin_ = int(np.searchsorted(np.cumsum(self._counts), share * self.count))
-        return float(min(_EDGES[min(bin_, len(_EDGES) - 1)], self.maximum))
+        bin_ = bisect_left(sums, share * sums[-1])
+        return min(_EDGES[min(bin_, len(_EDGES) - 1)], self.maximum)
+
+
+@dataclass(frozen=True, slots=True)
+class Ages:
+    """How old what passed a hop was, in seconds; None where nothing did.
+
+    now, worst: median and maximum of the last second. p50, p99, max: of all.
+    """
+
+    count: int
+    now: float | None
+    worst: float | None
+    p50: float | None
+    p99: float | None
+    max: float | None
+
+
+class Hop:
+    """A point on the way of a frame, and how old what passes it is by then.
+
+    One thread may add while others ask.
+    """
+
+    def __init__(self) -> None:
+        self._all = Durations()
+        self._lately: deque[tuple[float, float]] = deque(maxlen=KEPT)
+
+    def passed(self, born: float, now: float) -> None:
+        """Something of that time passes; not counted where it is of a time to come, as in a clip
+        that is played faster than it was recorded.
+        """
+        if now >= born:
+            self._all.add(now - born)
+            self._lately.append((now, now - born))
+
+    def ages(self, now: float) -> Ages:
+        """What passed until now."""
+        known = self._all
+        lately = [age for at, age in self._lately.copy() if at > now - LATELY]
+        return Ages(
+            count=known.count,
+            now=median_low(lately) if lately else None,
+            worst=max(lately, default=None),
+            p50=known.quantile(0.50),
+            p99=known.quantile(0.99),
+            max=known.maximum if known.count else None,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class MarkerStatus:
+    """A tracked marker: measured, imputed or lost (as Provenance), for so many seconds now; and the
+    frames in which it was not measured.
+    """
+
+    state: str
+    seconds: float
+    missing: int
+
+
+class Presence:
+    """Which markers are measured, since when, and how often they were not."""
+
+    def __init__(self, rows: Mapping[str, int]) -> None:
+        """rows: where each marker is in a pose, by label."""
+        self._labels = tuple(rows)
+        self._rows = np.array([*rows.values()], int)
+        self._states: npt.NDArray[np.uint8] | None = None
+        self._since = np.zeros(len(rows))
+        self._missing = np.zeros(len(rows), int)
+
+    def add(self, provenance: npt.NDArray[np.uint8], now: float) -> None:
+        """Counts a pose by its provenance (M,)."""
+        states = provenance[self._rows]
+        if self._states is None:
+            self._since[:] = now
+        else:
+            self._since[states != self._states] = now
+        self._missing += states != Provenance.MEASURED
+        self._states = states
+
+    def markers(self, now: float) -> dict[str, MarkerStatus]:
+        """By label, in the model's order; none before the first pose."""
+        if self._states is None:
+            return {}
+        known = zip(self._labels, self._states, self._since, self._missing, strict=True)
+        return {
+            label: MarkerStatus(
+                Provenance(state).name.lower(), max(0.0, now - float(since)), int(missing)
+            )
+            for label, state, since, missing in known
+        }
 
 
 class Mean:

@@ -1,4 +1,4 @@
-"""A session on the terminal: a live table, plain lines in a pipe, a summary at the end."""
+"""A session on the terminal: a dashboard, plain lines in a pipe, a summary at the end."""
 
 from __future__ import annotations
 
@@ -6,20 +6,24 @@ import contextlib
 import logging
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections import deque
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich.console import Console
 from rich.live import Live
 from rich.logging import RichHandler
-from rich.table import Table
 from rich.text import Text
 
+from bridge.dashboard import LOSSES, Dashboard, missing_truth
 from bridge.repeating import repeating
 from bridge.session import Status
+from bridge.statistics import Ages
+from bridge.troubles import LOST, instead, troubles
 from drivers.errors import MarkerbridgeError
 
 LIVE_EVERY = 0.25  # s
+LATELY = 3.0  # s over which the dashboard's rates are told
 LINE_EVERY = 5.0  # s, where the output is no terminal
 
 
@@ -31,16 +35,18 @@ def shown(
 
     Where nothing can be shown (the terminal is gone, the disk of the log is full) it goes on.
     """
-    live = (
-        Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
-    )
+    live = Live(console=console, auto_refresh=False, transient=True) if _is_live(console) else None
+    # The newest status, and those before it that rates and troubles are told against.
+    known: deque[Status] = deque([status()], maxlen=1 + round(LATELY / LIVE_EVERY) if live else 2)
 
     def show() -> None:
+        known.append(status())
+        before = known[0]
         with contextlib.suppress(OSError):
             if live:
-                live.update(table(status(), title), refresh=True)
+                live.update(Dashboard(title, known[-1], before), refresh=True)
             else:
-                console.print(Text(line(status())), soft_wrap=True)
+                console.print(Text(line(known[-1], before)), soft_wrap=True)
 
     if live:
         with contextlib.suppress(OSError):
@@ -54,12 +60,21 @@ def shown(
                 live.stop()
 
 
+def _is_live(console: Console) -> bool:
+    """Whether what was printed can be drawn anew: not in a pipe, though it be told to have colours,
+    and not on a dumb terminal.
+    """
+    return console.is_interactive and console.file.isatty()
+
+
 def log_to(console: Console, level: str = "info") -> None:
-    """The log goes where the table is, so that it does not tear it; a line each in a pipe."""
+    """The log goes where the dashboard is, so that it does not tear it; a line each in a pipe."""
     handler: logging.Handler = logging.StreamHandler()
     form = "%(asctime)s markerbridge: %(levelname)s: %(message)s"
-    if console.is_terminal:
-        handler = RichHandler(console=console, show_time=False, show_path=False, markup=False)
+    if _is_live(console):
+        handler = RichHandler(
+            console=console, show_path=False, markup=False, log_time_format="%H:%M:%S"
+        )
         form = "%(message)s"
     logging.basicConfig(
         level=level.upper(), format=form, datefmt="%H:%M:%S", handlers=[handler], force=True
@@ -69,8 +84,8 @@ def log_to(console: Console, level: str = "info") -> None:
 def summarise(console: Console, status: Status, title: str) -> None:
     """The state of a session once more, at its end, where it can be shown."""
     with contextlib.suppress(OSError):
-        if console.is_terminal:
-            console.print(table(status, title))
+        if _is_live(console):
+            console.print(Dashboard(title, status, ended=True))
             return
         console.print(Text(title), soft_wrap=True)
         for name, value in _facts(status):
@@ -93,73 +108,76 @@ def answer(text: str) -> None:
         raise MarkerbridgeError(f"cannot write to standard output: {error}") from error
 
 
-def table(status: Status, title: str) -> Table:
-    """The state of a session, a row a fact."""
-    view = Table(
-        title=Text(title, "italic"), title_justify="left", show_header=False, pad_edge=False
-    )
-    view.add_column(style="cyan", overflow="fold")
-    view.add_column(overflow="fold")
-    for name, value in _facts(status):
-        view.add_row(Text(name), Text(value))
-    return view
+def line(status: Status, before: Status | None = None) -> str:
+    """The state of a session in one line; `before`: the one that the line before told."""
+    parts = [trouble.words for trouble in troubles(status, before)[:1]]
+    parts += [f"{name} {value}" for name, value in _short_facts(status)]
+    return time.strftime("%H:%M:%S ") + " | ".join(parts)
 
 
-def line(status: Status) -> str:
-    """The state of a session in one line."""
-    return time.strftime("%H:%M:%S ") + " | ".join(
-        f"{name} {value}" for name, value in _facts(status) if name != "on the wire"
-    )
+def _short_facts(status: Status) -> Iterator[tuple[str, str]]:
+    nominal = f" of {status.layout_rate:g}" if status.layout_rate else ""
+    yield "poses", f"{status.frames:,} at {status.rate:.1f}{nominal} Hz"
+    if status.silent < LOST:
+        yield from _short_facts_of_now(status)
+    if status.missing_indices:
+        yield "frames lost", f"{status.missing_indices:,}"
+    if unsent := sum(sink["dropped"] + sink["errors"] for sink in status.sinks.values()):
+        yield "poses unsent", f"{unsent:,}"
+
+
+def _short_facts_of_now(status: Status) -> Iterator[tuple[str, str]]:
+    age = status.ages["estimate"]
+    yield "age", f"{_ms(age.now)}, p99 {_ms(age.p99)}"
+    away = [label for label, marker in status.markers.items() if marker.state != "measured"]
+    if status.markers:
+        yield "without" if away else "all", ", ".join(away) or f"{len(status.markers)} markers"
+    if status.rms_now_mm is not None:
+        yield "RMS", f"{status.rms_now_mm:.0f} mm"
+    elif status.truth is not None and status.frames:
+        yield "no RMS:", missing_truth(status.truth)
 
 
 def _facts(status: Status) -> Iterator[tuple[str, str]]:
+    """All that a session did, for its end."""
     source = dict(status.source)
     received = source.pop("frames", 0)
-    nominal = f" of {status.layout_rate:g}" if status.layout_rate else ""
     yield "running", f"{status.seconds:.0f} s"
     lost = f", {status.missing_indices} never came" if status.missing_indices else ""
-    yield "frames in", f"{received}{lost}{'' if received else _unread(source)}"
+    yield "frames in", f"{received}{lost if received else instead(status, None)}"
     yield "poses out", f"{status.frames}"
-    yield "rate", f"{status.rate:.1f}{nominal} Hz"
-    ages = f"p50 {_ms(status.age_p50)}, p99 {_ms(status.age_p99)}"
-    yield "age of the pose", f"now {_ms(status.age_now)}, {ages}"
-    if status.delay_now is not None:
-        delays = f"p50 {_ms(status.delay_p50)}, p99 {_ms(status.delay_p99)}"
-        yield "delay on the line", f"now {_ms(status.delay_now)}, {delays}"
+    for name, words in (
+        ("delay", "delay on the line"),
+        ("queue", "wait in the queue"),
+        ("estimate", "age of the pose"),
+    ):
+        if status.ages[name].count:
+            yield words, _ages(status.ages[name])
     share = status.imputed_samples / max(1, status.frames)
-    now = f" (now {', '.join(status.imputed_now)})" if status.imputed_now else ""
-    yield "markers imputed", f"{status.imputed_samples}, {share:.2f} a frame{now}"
+    missing = {
+        label: at.missing / max(1, status.frames)
+        for label, at in sorted(status.markers.items(), key=lambda item: -item[1].missing)
+    }
+    worst = ", ".join(f"{label} {part:.1%}" for label, part in missing.items() if part)
+    each = f": {worst} of the time" if worst else ""
+    yield "markers imputed", f"{status.imputed_samples}, {share:.2f} a frame{each}"
     if status.lost_frames:
         yield "frames without markers", f"{status.lost_frames}"
-    if status.rms_mm is not None and status.rms_now_mm is not None:
-        yield "RMS to the truth", f"{status.rms_mm:.1f} mm (now {status.rms_now_mm:.0f} mm)"
+    if status.rms_mm is not None:
+        yield "RMS to the truth", f"{status.rms_mm:.1f} mm"
     elif status.truth is not None and status.frames:
-        came = status.truth.get("frames", 0)
-        found = f"none of {came} true poses fits a frame" if came else "no true pose has come"
-        yield "RMS to the truth", found
+        yield "RMS to the truth", missing_truth(status.truth)
     for name, sink in status.sinks.items():
-        trouble = "".join(
-            f", {sink[key]} {word}"
-            for key, word in (
-                ("dropped", "dropped"),
-                ("rate_limited", "over its rate"),
-                ("errors", "failed"),
-            )
-            if sink[key]
-        )
-        ages = f", age p50 {_ms(sink['age_p50'])}, p99 {_ms(sink['age_p99'])}"
-        yield f"to {name}", f"{sink['sent']} poses{trouble}{ages if sink['sent'] else ''}"
+        trouble = "".join(f", {sink[key]} {word}" for key, word in LOSSES.items() if sink[key])
+        last = f" (the last: {sink['last_error']})" if sink["last_error"] else ""
+        ages = f", age {_ages(sink['age'])}" if sink["age"].count else ""
+        yield f"to {name}", f"{sink['sent']} poses{trouble}{last}{ages}"
     counts = ", ".join(f"{name} {count}" for name, count in sorted(source.items()) if count)
-    yield "on the wire", counts or "nothing yet"
+    yield "on the wire", counts or "nothing"
 
 
-def _unread(source: Mapping[str, int]) -> str:
-    """What came, where no frame did."""
-    if count := source.get("bytes"):
-        return f", though {count:,} bytes came: `markerbridge doctor` tells why"
-    if count := source.get("refused"):
-        return f", though {count:,} packets came, of senders that the option allow does not name"
-    return ""
+def _ages(ages: Ages) -> str:
+    return f"p50 {_ms(ages.p50)}, p99 {_ms(ages.p99)}, max {_ms(ages.max)}"
 
 
 def _ms(seconds: float | None) -> str:

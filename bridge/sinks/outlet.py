@@ -8,7 +8,7 @@ from collections import Counter, deque
 
 from bridge.pose import Pose
 from bridge.sinks.sink import Input, Sink, SinkError
-from bridge.statistics import Durations
+from bridge.statistics import Hop
 from drivers.clock import Clock
 from drivers.session_log import FOUND, LOST, LineBytes, LineEvent
 from drivers.transport import Received
@@ -16,6 +16,7 @@ from drivers.transport import Received
 log = logging.getLogger(__name__)
 
 BURST = 0.1  # s: a rate limit is kept over this time, so jitter alone delays nothing
+COUNTED = ("sent", "dropped", "rate_limited", "recorded", "errors")
 FLUSH = 2.0  # s that a sink gets at the end for what still waits
 
 
@@ -26,7 +27,8 @@ class Outlet:
     that rate. A faster one is thinned out: the newest pose wins.
 
     Counts `sent`, `dropped` (the queue was full), `rate_limited`, `recorded` (inputs, by a sink
-    that records) and `errors`. A sink that raises loses that pose and no other.
+    that records) and `errors`, of which `last_error` is the newest in words. A sink that raises
+    loses that pose and no other. hop: how old poses are when they are sent.
     """
 
     stream_rate = 0.0  # Hz, once it is known
@@ -34,7 +36,8 @@ class Outlet:
     def __init__(self, sink: Sink, clock: Clock) -> None:
         self.sink = sink
         self.counters: Counter[str] = Counter()
-        self.ages = Durations()
+        self.hop = Hop()
+        self.last_error: str | None = None
         self._clock = clock
         self._queue: deque[Pose | Input] = deque()
         self._wake = threading.Condition()
@@ -134,10 +137,11 @@ class Outlet:
             self._failed(error)
             return
         self.counters["sent"] += 1
-        self.ages.add(self._clock.now() - item.t)
+        self.hop.passed(item.t, self._clock.now())
 
     def _failed(self, error: Exception) -> None:
         self.counters["errors"] += 1
+        self.last_error = str(error) or type(error).__name__
         if self.counters["errors"] == 1:
             log.warning("%s: %s (said once; counted from now on)", self.sink.name, error)
 

@@ -379,6 +379,18 @@ def test_reset_forgets_the_performer(model, walk) -> None:
         np.testing.assert_array_equal(one, two)
 
 
+@pytest.mark.parametrize("index", [1000, 0], ids=["a long gap", "a device that starts anew"])
+def test_after_a_long_absence_all_begins_anew(model, walk, index: int) -> None:
+    half = len(walk) // 2
+    estimator, fresh = PoseEstimator(model), PoseEstimator(model)
+    layout = Layout(model.info.tracked, 120.0)
+    for at, xyz in enumerate(walk[:half]):
+        estimator.step(MarkerFrame(at, at / 120, at / 120, layout, xyz))
+    for at, xyz in enumerate(walk[half : half + 20], index):
+        frame = MarkerFrame(at, at / 120, at / 120, layout, xyz + np.float32([5, 0, 0]))
+        np.testing.assert_array_equal(estimator.step(frame).xyz, fresh.step(frame).xyz)
+
+
 def test_frames_that_are_lost_on_the_way_take_their_time(network_model, whole_walk) -> None:
     """Every other frame of a stream is one of half the rate: noise, speeds and blends are in
     seconds.

@@ -127,6 +127,7 @@ def test_a_sink_that_raises_loses_that_pose_alone_and_says_so_once(caplog) -> No
         outlet.put(pose(index))
     assert sink.taken == [0, 2, 4, 6, 8]
     assert outlet.counters == {"sent": 5, "errors": 5}
+    assert outlet.last_error == "no route"
     assert [record.message for record in caplog.records] == [
         "gate: no route (said once; counted from now on)"
     ]

@@ -11,7 +11,7 @@ import pytest
 
 from bridge.estimator import PoseEstimator
 from bridge.model import Model
-from bridge.pose import Pose
+from bridge.pose import Pose, Provenance
 from bridge.session import Session
 from bridge.sinks.sink import Input, Sink, SinkContext, SinkError
 from bridge.terminal import line
@@ -42,6 +42,12 @@ class Keep(Sink):
 
     def close(self) -> None:
         self.closed += 1
+
+
+class Named(Keep):
+    def __init__(self, name: str) -> None:
+        super().__init__()
+        self.name = name
 
 
 class Flood(Source):
@@ -165,19 +171,96 @@ def wire_session(
 def test_a_frame_that_is_held_up_on_the_line_is_seen_in_the_delay() -> None:
     clock = VirtualClock()
     running, device, encoder = wire_session(clock, LAYOUT.labels)
-    assert running.status().delay_now is None
+    assert running.status().ages["delay"].now is None
     for index in range(100):
         late = 0.2 if index == 99 else 0.01
         packet = encoder.encode_frame(index, index / 120, STANDING)
         clock.call_at(index / 120 + late, partial(device.send, packet))
-    while (frame := running.source.read(1.0)) is not None:
+    while (frame := running.source.read(0.5)) is not None:
         running.handle(frame)
     status = running.status()
     assert status.frames == 100
-    assert status.delay_now == pytest.approx(0.19, abs=1e-3)
-    assert status.delay_p50 is not None
-    assert status.delay_p50 < 1e-3
-    assert status.age_now == 0.0  # on virtual time an estimate costs nothing
+    delay = status.ages["delay"]
+    assert delay.count == 100
+    assert delay.worst == delay.max == pytest.approx(0.19, abs=1e-3)
+    assert delay.p50 is not None
+    assert delay.p50 < 1e-3
+    # On virtual time nothing waits, and an estimate costs nothing.
+    assert status.ages["queue"].max == status.ages["estimate"].max == 0.0
+
+
+def test_every_hop_is_accounted_for_to_the_microsecond() -> None:
+    """Each costs what it is told to: the line, the queue, the estimate and a sink."""
+    clock = VirtualClock()
+
+    class Slow(Keep):
+        def __call__(self, pose: Pose) -> None:
+            clock.sleep_until(clock.now() + 0.001)
+
+    class Thinking(PoseEstimator):
+        def step(self, frame: MarkerFrame) -> Pose:
+            clock.sleep_until(clock.now() + 0.002)
+            return super().step(frame)
+
+    context = SinkContext(MODEL.info, lambda index: None)
+    running = Session(Flood(0), Thinking(MODEL), [Slow(), Named("second")], context, clock=clock)
+    waits = np.random.default_rng(1).permutation(np.arange(1, 481)) / 48_000  # s, to 10 ms
+    for index, wait in enumerate(waits.tolist()):
+        t = clock.now()
+        clock.sleep_until(t + wait)
+        running.handle(MarkerFrame(index, t, t, LAYOUT, STANDING, t - 0.003))
+    status = running.status()
+    sinks = status.sinks
+    for ages, cost in (
+        (status.ages["queue"], 0.0),
+        (status.ages["estimate"], 0.002),
+        (sinks["keep"]["age"], 0.003),
+        (sinks["second"]["age"], 0.003),
+    ):
+        assert ages.count == 480
+        assert ages.p50 == pytest.approx(0.005 + cost, rel=0.024)
+        assert ages.p99 == pytest.approx(0.0099 + cost, rel=0.024)
+        assert ages.max == pytest.approx(0.01 + cost, abs=1e-9)
+        # Of the last second, exactly.
+        lately = waits[-np.searchsorted(np.cumsum(waits[::-1] + 0.003), 1.0) :] + cost
+        assert ages.worst == pytest.approx(lately.max(), abs=1e-9)
+        assert ages.now == pytest.approx(np.median(lately), abs=5e-5)
+    delay = status.ages["delay"]
+    assert (delay.count, delay.max) == (480, pytest.approx(0.003, abs=1e-9))
+    assert status.silent == pytest.approx(0.003, abs=1e-9)
+    # After a second nothing is of now any more, and all of it is of the session.
+    clock.sleep_until(clock.now() + 1.1)
+    later = running.status().ages["estimate"]
+    assert (later.now, later.worst, later.count) == (None, None, 480)
+    assert later.p50 == status.ages["estimate"].p50
+
+
+def test_markers_are_accounted_for_frame_by_frame() -> None:
+    clock = VirtualClock()
+    running, device, encoder = wire_session(clock, LAYOUT.labels)
+    assert running.status().markers == {}
+    hidden = {2: range(30, 60), 5: range(10, 20), 7: range(80, 100)}
+    poses = []
+    for index in range(100):
+        xyz = STANDING.copy()
+        xyz[[row for row, frames in hidden.items() if index in frames]] = np.nan
+        packet = encoder.encode_frame(index, index / 120, xyz)
+        clock.call_at(index / 120, partial(device.send, packet))
+    while (frame := running.source.read(0.5)) is not None:
+        poses.append(running.handle(frame))
+    markers = running.status().markers
+    assert tuple(markers) == MODEL.info.tracked
+    for label, marker in markers.items():
+        row = MODEL.info.labels.index(label)
+        states = [pose.provenance[row] for pose in poses]
+        assert marker.missing == sum(state == Provenance.IMPUTED for state in states)
+        assert marker.missing >= len(hidden.get(MODEL.info.tracked.index(label), ()))
+        assert marker.state == Provenance(states[-1]).name.lower()
+        changes = [at for at in range(1, 100) if states[at] != states[at - 1]]
+        since = poses[changes[-1]].t if changes else poses[0].t
+        assert marker.seconds == pytest.approx(clock.now() - since, abs=1e-9)
+    assert running.status().imputed_samples == sum(marker.missing for marker in markers.values())
+    assert markers[MODEL.info.tracked[7]].state == "imputed"
 
 
 @pytest.mark.parametrize("labels", [("1", "head"), ("1", *LAYOUT.labels[1:])])
@@ -209,7 +292,7 @@ def test_a_truth_that_does_not_come_is_seen() -> None:
         frame = running.source.read(1.0)
         assert frame is not None
         running.handle(frame)
-        assert "RMS to the truth no true pose has come" in line(running.status())
+        assert "no RMS: no true pose has come" in line(running.status())
         sender.send(b"rubbish\0")
     status = running.status()
     assert status.truth is not None
@@ -222,9 +305,9 @@ def test_bytes_of_which_no_frame_is_read_are_told_in_every_line() -> None:
     running, device, _ = wire_session(clock, LAYOUT.labels)
     device.send(b"rubbish\0" * 1000)
     assert running.source.read(1.0) is None
+    clock.sleep_until(3.0)
     told = line(running.status())
-    assert "frames in 0, though 8," in told
-    assert "`markerbridge doctor` tells why" in told
+    assert "no frame for 3 s, though 8,061 bytes came: `markerbridge doctor` tells why" in told
 
 
 def test_what_records_is_told_every_frame_even_those_that_overflow() -> None:

@@ -1,9 +1,11 @@
 from __future__ import annotations
 
+import pickle
+
 import numpy as np
 import pytest
 
-from bridge.statistics import Durations, Mean
+from bridge.statistics import Durations, Hop, Mean
 from bridge.truth import rms_mm
 
 
@@ -25,7 +27,22 @@ def test_the_ends_of_the_scale_are_counted_too() -> None:
     assert durations.quantile(0.5) == 0.0
     durations.add(1e6)
     assert durations.quantile(1.0) is not None
-    assert durations.last == 1e6
+    assert durations.maximum == 1e6
+
+
+def test_a_hop_remembers_the_last_second_and_no_more_than_it_can() -> None:
+    hop = Hop()
+    for number in range(100_000):  # a thousand a second, older and older
+        now = number / 1000
+        hop.passed(now - number / 1e6, now)
+    ages = hop.ages(100.0)
+    assert ages.count == 100_000
+    assert ages.worst == ages.max == pytest.approx(0.099999)
+    assert ages.now == pytest.approx(0.0995, abs=1e-4)
+    assert ages.p50 == pytest.approx(0.05, rel=0.024)
+    hop.passed(200.0, 199.0)  # ahead of its time
+    assert hop.ages(199.0).count == 100_000
+    assert len(pickle.dumps(hop)) < 40_000
 
 
 def test_a_mean_leaves_out_what_is_no_number() -> None:

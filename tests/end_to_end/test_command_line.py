@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import logging
 import signal
 import socket
 import subprocess
@@ -13,6 +15,7 @@ from pathlib import Path
 import pytest
 from pythonosc.osc_message_builder import OscMessageBuilder
 
+from bridge.cli import main
 from bridge.model import Model
 from drivers.c3d_file import read_c3d
 from tests.end_to_end.peers import Command, Receiver, free_port, listening, running, wait_for
@@ -20,6 +23,35 @@ from tests.end_to_end.peers import Command, Receiver, free_port, listening, runn
 
 def ended(*arguments: str, cwd: Path | None = None) -> tuple[int, str, str]:
     return Command(*arguments, cwd=cwd).end(60)
+
+
+@pytest.fixture
+def told(capsys):
+    """Runs a command in this process, for what ends by itself: status, output and errors."""
+
+    def run(*arguments: str) -> tuple[int, str, str]:
+        capsys.readouterr()
+        try:
+            status = main([*arguments])
+        except SystemExit as end:  # argparse's
+            status = int(end.code or 0)
+        return status, *capsys.readouterr()
+
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
+    yield run
+    root.handlers[:] = handlers
+    root.setLevel(level)
+
+
+def test_the_status_of_the_process_is_the_command_s(tmp_path: Path) -> None:
+    commands = [
+        (0, Command("run", "--help")),
+        (1, Command("run", "c3d:absent.c3d", cwd=tmp_path)),
+        (2, Command("run", "morse:x")),
+    ]
+    for status, command in commands:
+        assert command.end()[0] == status
 
 
 @pytest.mark.parametrize(
@@ -38,8 +70,8 @@ def ended(*arguments: str, cwd: Path | None = None) -> tuple[int, str, str]:
         (["demo", "--seconds", "-1"], "'-1' is no number above 0"),
     ],
 )
-def test_wrong_usage_is_status_2_and_one_line_that_helps(arguments, words: str) -> None:
-    status, out, err = ended(*arguments)
+def test_wrong_usage_is_status_2_and_one_line_that_helps(told, arguments, words: str) -> None:
+    status, out, err = told(*arguments)
     assert status == 2
     assert words in err.splitlines()[-1]
     assert "Traceback" not in err
@@ -58,8 +90,11 @@ def test_wrong_usage_is_status_2_and_one_line_that_helps(arguments, words: str) 
         (["demo", "--source", "c3d:absent.c3d"], "absent.c3d: no such file"),
     ],
 )
-def test_what_fails_while_running_is_status_1_and_one_line(arguments, words, tmp_path) -> None:
-    status, out, err = ended(*arguments, cwd=tmp_path)
+def test_what_fails_while_running_is_status_1_and_one_line(
+    told, arguments, words, tmp_path, monkeypatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    status, out, err = told(*arguments)
     assert status == 1
     last = err.splitlines()[-1]
     assert words in last
@@ -71,22 +106,22 @@ def test_what_fails_while_running_is_status_1_and_one_line(arguments, words, tmp
 @pytest.mark.parametrize(
     "command", ["demo", "run", "simulate", "train", "evaluate", "convert", "doctor", "devices"]
 )
-def test_every_command_explains_itself(command: str) -> None:
-    status, out, err = ended(command, "--help")
+def test_every_command_explains_itself(told, command: str) -> None:
+    status, out, err = told(command, "--help")
     assert (status, err) == (0, "")
     assert f"markerbridge {command}" in out
 
 
-def test_a_file_is_not_taken_for_a_serial_port(tmp_path: Path) -> None:
+def test_a_file_is_not_taken_for_a_serial_port(told, tmp_path: Path) -> None:
     (tmp_path / "mine").write_text("precious")
     to = f"serial:{tmp_path / 'mine'}"
-    status, _, err = ended("simulate", "performer:walk", "--to", to)
+    status, _, err = told("simulate", "performer:walk", "--to", to)
     assert status == 1
     assert "choose a path that does not exist" in err
     assert (tmp_path / "mine").read_text() == "precious"
 
 
-def test_a_capture_without_the_tracked_markers_is_named(tmp_path: Path) -> None:
+def test_a_capture_without_the_tracked_markers_is_named(told, tmp_path: Path) -> None:
     import numpy as np
 
     from drivers.c3d_file import write_c3d
@@ -94,39 +129,50 @@ def test_a_capture_without_the_tracked_markers_is_named(tmp_path: Path) -> None:
 
     write_c3d(tmp_path / "few.c3d", Layout(("C7", "LSHO"), 120.0), np.ones((9, 2, 3), np.float32))
     source = f"c3d:{tmp_path / 'few.c3d'}"
-    status, _, err = ended("simulate", source, "--to", "osc://127.0.0.1:9")
+    status, _, err = told("simulate", source, "--to", "osc://127.0.0.1:9")
     assert status == 2
     tracked = Model("default").info.tracked
     assert f"the capture lacks the markers {tracked[0]}" in err
     # `run` goes on with what is there, and says what is not.
-    status, _, err = ended("run", f"{source}?speed=max", "--json")
+    status, _, err = told("run", f"{source}?speed=max", "--json")
     assert status == 0
     absent = [label for label in tracked if label not in ("C7", "LSHO")]
     assert f"the stream has no {', '.join(absent)}" in err
 
 
-def test_a_stream_without_any_tracked_marker_is_an_error(tmp_path: Path) -> None:
+def test_a_stream_without_any_tracked_marker_is_an_error(told, tmp_path: Path) -> None:
     import numpy as np
 
     from drivers.c3d_file import write_c3d
     from drivers.frame import Layout
 
     write_c3d(tmp_path / "no.c3d", Layout(("T10",), 120.0), np.ones((9, 1, 3), np.float32))
-    status, _, err = ended("run", f"c3d:{tmp_path / 'no.c3d'}?speed=max")
+    status, _, err = told("run", f"c3d:{tmp_path / 'no.c3d'}?speed=max")
     assert status == 1
     assert "none of the markers that the model tracks" in err.splitlines()[-1]
 
 
-def test_the_demo_runs_to_its_end_without_data_and_shows_its_figures(tmp_path: Path) -> None:
-    with Receiver() as receiver:
+def test_the_demo_runs_to_its_end_and_shows_its_figures(data_dir: Path, tmp_path: Path) -> None:
+    """The performer, without any data; beside it a real capture, and a picture of it."""
+    empty, other = tmp_path / "empty", tmp_path / "other"
+    empty.mkdir()
+    other.mkdir()
+    source = f"c3d:{data_dir / 'real/07_12.c3d'}"  # shorter than the demo: it starts again
+    options = ("--seconds", "3", "--no-view")
+    picture = ("--source", source, "--snapshot", "view.png")
+    with Receiver() as receiver, running("demo", *options, *picture, cwd=other) as real:
         to = f"vmc://127.0.0.1:{receiver.port}"
-        status, out, err = ended("demo", "--seconds", "3", "--to", to, "--no-view", cwd=tmp_path)
-    assert status == 0, err
-    assert out == ""
-    for words in ("frames in", "poses out", "age of the pose", "markers imputed", "RMS to the"):
-        assert words in err
+        status, out, err = ended("demo", *options, "--to", to, cwd=empty)
+        assert status == 0, err
+        assert out == ""
+        for words in ("frames in", "poses out", "age of the pose", "markers imputed", "RMS to the"):
+            assert words in err
+        status, _, err = real.end(60)
     assert len(receiver.datagrams) > 200
-    assert list(tmp_path.iterdir()) == []
+    assert list(empty.iterdir()) == []
+    assert status == 0, err
+    assert "picture of the view: view.png" in err
+    assert (other / "view.png").stat().st_size > 20_000
 
 
 def test_the_demo_ends_at_once_on_ctrl_c_and_takes_its_simulator_along(tmp_path: Path) -> None:
@@ -147,33 +193,36 @@ def test_the_demo_ends_at_once_on_ctrl_c_and_takes_its_simulator_along(tmp_path:
     assert count > 0
 
 
-def test_run_ends_after_its_seconds_though_nothing_comes() -> None:
-    status, out, _ = ended("run", f"osc://127.0.0.1:{free_port()}", "--seconds", "0.5", "--json")
+def test_run_ends_after_its_seconds_though_nothing_comes(told) -> None:
+    status, out, _ = told("run", f"osc://127.0.0.1:{free_port()}", "--seconds", "0.5", "--json")
     assert status == 0
     assert json.loads(out)["frames"] == 0
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
-def test_however_a_session_is_ended_its_recording_is_whole(tmp_path: Path, number: int) -> None:
-    port, take = tmp_path / "tracker", tmp_path / "take [1].c3d"
-    with running("simulate", "performer:walk", "--to", f"serial:{port}") as device:
-        wait_for(port.is_symlink, "the serial port")
-        with (
-            Receiver() as receiver,
-            running(
-                *("run", f"serial:{port}", "--to", f"c3d:{take}"),
-                *("--to", f"osc://127.0.0.1:{receiver.port}"),
-            ) as bridge,
-        ):
-            wait_for(lambda: len(receiver.datagrams) > 50, "poses")
+def test_however_a_session_is_ended_its_recording_is_whole(tmp_path: Path) -> None:
+    """Three at once, each with a device of its own, ended by a signal each."""
+    with contextlib.ExitStack() as started:
+        devices, sessions = [], []
+        for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
+            port, take = tmp_path / f"tracker {number}", tmp_path / f"take [{number}].c3d"
+            play = ("simulate", "performer:walk", "--to", f"serial:{port}")
+            devices.append((number, port, take, started.enter_context(running(*play))))
+        for number, port, take, device in devices:
+            wait_for(port.is_symlink, "the serial port")
+            receiver = started.enter_context(Receiver())
+            to = ("--to", f"c3d:{take}", "--to", f"osc://127.0.0.1:{receiver.port}")
+            bridge = started.enter_context(running("run", f"serial:{port}", *to))
+            sessions.append((number, port, take, device, receiver, bridge))
+        for number, port, take, device, receiver, bridge in sessions:
+            wait_for(lambda receiver=receiver: len(receiver.datagrams) > 50, "poses")
             bridge.process.send_signal(number)
+            device.process.send_signal(number)
             status, _, err = bridge.end()
-        device.process.send_signal(number)
-        assert device.end()[0] == 0
-    assert status == 0, err
-    assert f"to c3d:{take}: " in err
-    assert len(read_c3d(take).xyz) > 50
-    assert not port.is_symlink()
+            assert status == 0, err
+            assert f"to c3d:{take}: " in err
+            assert len(read_c3d(take).xyz) > 50
+            assert device.end()[0] == 0
+            assert not port.is_symlink()
 
 
 def test_a_demo_told_to_stop_while_it_starts_leaves_nothing_behind(tmp_path: Path) -> None:
@@ -190,21 +239,25 @@ def _children(pid: int) -> list[int]:
     return [int(word) for word in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
+def test_an_answer_that_nobody_can_take_is_an_error_in_one_line() -> None:
+    answering = (
         ("run", "osc://127.0.0.1:0", "--seconds", "0.1", "--json"),
         ("doctor", "osc://127.0.0.1:0", "--seconds", "0.1"),
         ("devices", "/dev/null", "--listen", "0.1"),
-    ],
-)
-def test_an_answer_that_nobody_can_take_is_an_error_in_one_line(arguments) -> None:
-    command = [sys.executable, "-P", "-m", "bridge.cli", *arguments]
+    )
     with Path("/dev/full").open("w") as full:
-        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
-    assert done.returncode == 1
-    assert "cannot write to standard output: " in done.stderr.splitlines()[-1]
-    assert "Traceback" not in done.stderr
+        started = [
+            subprocess.Popen(
+                [sys.executable, "-P", "-m", "bridge.cli", *arguments],
+                **{"stdout": full, "stderr": subprocess.PIPE, "text": True},
+            )
+            for arguments in answering
+        ]
+        for process in started:
+            _, err = process.communicate(timeout=60)
+            assert process.returncode == 1
+            assert "cannot write to standard output: " in err.splitlines()[-1]
+            assert "Traceback" not in err
 
 
 def test_a_session_goes_on_though_its_lines_cannot_be_written(tmp_path: Path) -> None:
@@ -232,10 +285,10 @@ def test_a_recording_that_fails_at_its_end_is_told_after_the_summary(tmp_path: P
     assert "Traceback" not in err
 
 
-def test_a_sink_named_twice_is_refused(tmp_path: Path) -> None:
+def test_a_sink_named_twice_is_refused(told, tmp_path: Path) -> None:
     sink = f"c3d:{tmp_path / 'x.c3d'}"
     address = f"osc://127.0.0.1:{free_port()}"
-    status, _, err = ended("run", address, "--to", sink, "--to", sink)
+    status, _, err = told("run", address, "--to", sink, "--to", sink)
     assert status == 2
     assert "a sink is named twice" in err
 
@@ -268,12 +321,3 @@ def test_a_flood_on_the_truth_channel_holds_nothing_up(data_dir: Path) -> None:
             thread.join()
     assert status == 0, err
     assert json.loads(out)["frames"] > 0
-
-
-def test_the_demo_shows_a_real_capture_and_takes_a_picture(data_dir: Path, tmp_path: Path) -> None:
-    source = f"c3d:{data_dir / 'real/07_12.c3d'}"  # shorter than the demo: it starts again
-    options = ("--seconds", "3", "--no-view", "--snapshot", "view.png")
-    status, _, err = ended("demo", "--source", source, *options, cwd=tmp_path)
-    assert status == 0, err
-    assert "picture of the view: view.png" in err
-    assert (tmp_path / "view.png").stat().st_size > 20_000

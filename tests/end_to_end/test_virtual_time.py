@@ -90,7 +90,7 @@ def test_every_frame_comes_out_and_the_meter_sees_the_truth(data_dir: Path, wire
         for pose, true in zip(poses, truth, strict=True)
     ]
     assert status.rms_mm == pytest.approx(np.mean(by_hand), rel=1e-4)
-    assert status.age_max == 0.0
+    assert status.ages["estimate"].max == 0.0
 
 
 def test_the_same_seed_is_the_same_run_and_another_is_not(data_dir: Path) -> None:
