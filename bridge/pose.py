@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -37,3 +37,12 @@ class Pose:
     provenance: npt.NDArray[np.uint8]
     sigma: Floats
     posture: Posture | None = None
+
+    def lost(self, t: float) -> Pose:
+        """The same at a later time, when nothing is known any more."""
+        unknown = np.full_like(self.sigma, np.inf)
+        posture = self.posture
+        if posture is not None:
+            posture = replace(posture, sigma=np.full_like(posture.sigma, np.inf))
+        lost = np.full_like(self.provenance, Provenance.LOST)
+        return replace(self, t=t, provenance=lost, sigma=unknown, posture=posture)

@@ -148,6 +148,8 @@ class Session:
                     self._wake.notify_all()
                 if frame is not None:
                     self.handle(frame)
+                else:
+                    self._tell_lost()
         finally:
             finished.set()
             reader.join(2.0)
@@ -224,6 +226,18 @@ class Session:
     def _record(self, frame: MarkerFrame) -> None:
         for outlet in self._recording:
             outlet.record(frame)
+
+    def _tell_lost(self) -> None:
+        """Where frames came and come no more, engines and view are told that the pose is lost, ten
+        times a second: else a body would stand there as if nothing had happened.
+        """
+        now = self._clock.now()
+        if self.last_pose is None or now - self._taken < SILENT:
+            return
+        lost = self.last_pose.lost(now)
+        for outlet in self._outlets:
+            if outlet.sink.waiting is not None:  # what keeps all poses is for those that were
+                outlet.put(lost)
 
     def _adopt(self, layout: Layout) -> None:
         """Takes in a new layout; says which tracked markers the stream does not carry."""

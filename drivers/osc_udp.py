@@ -52,9 +52,11 @@ class UdpTransport:
         self._counters: Counter[str] = Counter() if counters is None else counters
         self._peer: Any = None
         try:
-            family, kind, protocol, _, address = socket.getaddrinfo(
-                host, port, type=socket.SOCK_DGRAM, flags=socket.AI_PASSIVE
-            )[0]
+            found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM, flags=socket.AI_PASSIVE)
+            # IPv4 where a name such as localhost has both, as senders take it.
+            family, kind, protocol, _, address = min(
+                found, key=lambda one: one[0] == socket.AF_INET6
+            )
             self._socket = socket.socket(family, kind, protocol)
         except (OSError, UnicodeError) as error:  # the latter for 192.168.1..20
             raise SourceError(f"cannot listen on UDP {host}:{port}: {error}") from error

@@ -20,13 +20,15 @@ class UdpSender:
     """A UDP socket to host and port. `limit`: the largest datagram worth sending there, bytes."""
 
     def __init__(self, host: str, port: int) -> None:
-        """Raises AddressError where the host is unknown."""
+        """Raises AddressError where the host is unknown, and for port 0, where nobody can be."""
+        if port == 0:
+            raise AddressError(f"cannot send to {host}:0: ports are 1 to 65535")
         try:
-            family, kind, protocol, _, address = socket.getaddrinfo(
-                host, port, type=socket.SOCK_DGRAM
-            )[0]
+            found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
         except (OSError, UnicodeError) as error:
             raise AddressError(f"cannot send to {host}:{port}: {error}") from error
+        # A name such as localhost often has both: most receivers listen on IPv4 alone.
+        family, kind, protocol, _, address = min(found, key=lambda one: one[0] == socket.AF_INET6)
         self._address: Any = address
         self._socket = socket.socket(family, kind, protocol)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)

@@ -94,7 +94,12 @@ class Url:
             ) from None
 
     def address(self, default_port: int | None = None) -> tuple[str, int]:
-        """Host and port; UrlError where one is needed and missing."""
+        """Host and port; UrlError where the port is needed and missing, or something else is there.
+
+        `vmc:10.0.0.7` would mean this machine else, without a word.
+        """
+        if self.path.strip("/"):
+            raise UrlError(f"'{self.text}': write {self.scheme}://HOST:PORT")
         port = self.port if self.port is not None else default_port
         if port is None:
             raise UrlError(f"'{self.text}' names no port: write {self.scheme}://127.0.0.1:9100")

@@ -1,7 +1,7 @@
 """How a performer's humanoid is built: what stays the same while they move.
 
-Measured on the markers of each pose and averaged, so that a bone has one length: it changes ever
-less from pose to pose, and after ten seconds not at all.
+Measured on the markers of poses and averaged, so that a bone has one length: it settles within a
+second, and after that follows another performer within minutes.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ import numpy as np
 from bridge.humanoid.rotations import Array
 
 PRIOR = 30  # poses that the usual proportions count as much as
-SETTLED = 120  # poses after which only
-SLOW = 12_000  # poses, 100 s, change much;
+SETTLED = 120  # poses until one counts as little as ever
+SLOW = 12_000  # poses that the mean goes back over from then on: 100 s
 EVERY = 8  # then one pose in so many is looked at
 
 
@@ -67,9 +67,8 @@ class Measuring:
         self._known = known is not None
         self._poses = 0
 
-    @property
     def due(self) -> bool:
-        """Whether to look at a pose; called once for each."""
+        """Counts a pose; whether to look at it."""
         self._poses += 1
         return not self._known and (self._poses <= SETTLED or self._poses % EVERY == 0)
 

@@ -19,7 +19,7 @@ from bridge.humanoid.proportions import Measuring, Proportions
 from bridge.humanoid.rotations import Array, carried, cross, dot, length_of, quaternions, unit
 from bridge.humanoid.skeleton import BONES, PARENTS, ROW, Posture
 from bridge.model import ModelInfo
-from bridge.pose import Pose
+from bridge.pose import Pose, Provenance
 from drivers.frame import Floats
 
 _NECK = np.array([0.0, 0.2, 1.0]) / np.hypot(0.2, 1.0)  # where the neck points in the rest pose
@@ -64,7 +64,8 @@ class HumanoidSolver:
             return None
         seen = self._find(pose.xyz)
         body = Body(seen, self.proportions, self._outside(seen, pose.t))
-        if self._measuring.due:
+        # A lost pose stays where it was: it would count as often as it is shown.
+        if not (pose.provenance == Provenance.LOST).all() and self._measuring.due():
             self._measuring.add(body.shows())
             self._rest = rest_pose(self.proportions)
         joints = np.empty((len(BONES), 3))

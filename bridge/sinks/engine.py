@@ -35,7 +35,8 @@ class Profile:
 class EngineSink(Sink):
     """Makes datagrams of each pose and sends them; whether anybody listens makes no difference.
 
-    A protocol has a profile, takes the options that only it has, and writes `_datagrams`.
+    A protocol has a profile and writes `_datagrams`. The options that only it has it takes before
+    it calls this `__init__`, to which all others are unknown.
     """
 
     profile: Profile

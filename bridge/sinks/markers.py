@@ -12,6 +12,7 @@ from bridge.uncertainty import Points
 from drivers.convention import Convention
 from drivers.frame import Floats, Layout
 from drivers.url import Url, UrlError
+from drivers.wire.osc import LONGEST_LABEL
 
 
 class MarkerSink(EngineSink):
@@ -23,6 +24,10 @@ class MarkerSink(EngineSink):
         unknown = [ours for ours in self._convention.labels.values() if ours not in labels]
         if unknown:
             raise _wrong(url, f"the model has no marker {', '.join(unknown)}")
+        for name in self._convention.labels:
+            if not name.isprintable() or len(name) > LONGEST_LABEL:
+                problem = f"a name is at most {LONGEST_LABEL} letters, all of them printable"
+                raise _wrong(url, problem)
         try:
             self._layout = self._convention.layout_out(Layout(labels, context.rate))
         except ValueError as error:

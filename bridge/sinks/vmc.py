@@ -20,12 +20,11 @@ import numpy as np
 from bridge.humanoid.skeleton import BONES
 from bridge.pose import Pose
 from bridge.sinks.bundles import Bundles, Selection, template
-from bridge.sinks.engine import EngineSink, Profile, joined, one_of
+from bridge.sinks.engine import EngineSink, Profile, joined, one_of, parse_length
 from bridge.sinks.sink import SinkContext
 from bridge.sinks.trackers import bone_rows
 from bridge.uncertainty import Bones, Points
 from drivers.coordinates import FRAMES
-from drivers.options import positive
 from drivers.url import Url
 
 _NO_ROTATION = np.array([0.0, 0.0, 0.0, 1.0], np.float32)
@@ -33,15 +32,15 @@ _ROOT = np.append(np.zeros(3, np.float32), _NO_ROTATION)
 
 
 class VmcSink(EngineSink):
-    """Options: `send` (bones, trackers or both), `hips` (metres: the height of the avatar's in its
-    rest pose, to which all positions are scaled). Trackers alone come without root and rotations.
+    """Options: `send` (bones, trackers or both), `hips` (how high the avatar's are in its rest
+    pose: all positions are scaled to that). Trackers alone come without root and rotations.
     """
 
     profile = Profile(39539, 250.0, FRAMES["unity"])  # receivers have crashed above
 
     def __init__(self, url: Url, context: SinkContext) -> None:
         send = url.take("send", "both", one_of("both", "bones", "trackers"))
-        self._height = url.take("hips", None, positive)
+        self._height = url.take("hips", None, parse_length)
         super().__init__(url, context)
         self._with_bones, with_markers = send != "trackers", send != "bones"
         self.wants_posture = self._with_bones or self.caution.moves or self._height is not None
@@ -66,6 +65,7 @@ class VmcSink(EngineSink):
         posture = pose.posture
         xyz, sigma = pose.xyz[: self._markers], pose.sigma[: self._markers]
         xyz, turns, shown = self._points(pose.t, xyz, sigma, posture)
+        shown = shown & ~np.isnan(xyz[:, 0])  # no engine knows a NaN
         if posture is not None and self._with_bones:
             bones = self._bones(pose.t, posture)
             places = posture.rest.copy()

@@ -55,7 +55,7 @@ def draw(page: Avatar, path: Path, frame: int) -> np.ndarray:
         pose = replace(pose, posture=solver.solve(pose))
     hips = page.drawn(0).rest["hips"][1]
     context = SinkContext(info, lambda index: None)
-    sink = open_sink(f"vmc://127.0.0.1:{page.port}?hips={hips}", context)
+    sink = open_sink(f"vmc://127.0.0.1:{page.port}?hips={hips}m", context)
     sink(replace(pose, xyz=clip.xyz[frame]))
     sink.close()
     return page.drawn(1).picture

@@ -102,7 +102,7 @@ def test_only_those_who_need_a_posture_want_one() -> None:
     wanting = {
         *("vmc", "vrchat", "vmt", "vmc?send=bones"),
         *("qtm-osc" + moving, "osc" + moving, "vmc?send=trackers&uncertain=fade"),
-        "vmc?send=trackers&hips=0.5",
+        "vmc?send=trackers&hips=50cm",
     }
     others = {"qtm-osc", "osc", "qtm-osc?uncertain=hide", "osc?uncertain=hide", "vmc?send=trackers"}
     for address in wanting | others:
@@ -130,7 +130,7 @@ def test_a_receiver_that_hangs_bone_on_bone_has_our_joints() -> None:
 
 def test_vmc_is_as_large_as_the_avatar() -> None:
     usual, half = (
-        read(made(f"vmc://{HERE}{option}", standing())[0]) for option in ("", "?hips=0.5")
+        read(made(f"vmc://{HERE}{option}", standing())[0]) for option in ("", "?hips=50cm")
     )
     for address in (BONE, TRACKER):
         for name, numbers in values(usual, address).items():
@@ -168,6 +168,13 @@ def test_vmc_leaves_out_what_is_hidden_and_sends_it_again() -> None:
     for address, other in ((BONE, "Hips"), (TRACKER, "RFIN")):  # the others are in their places
         first, second, _ = (values(part, address)[other] for part in parts)
         np.testing.assert_array_equal(first, second)
+
+
+def test_vmc_leaves_out_a_marker_without_a_place() -> None:
+    each = standing()
+    each.xyz[INFO.labels.index("LFIN")] = np.nan
+    (part, _) = made(f"vmc://{HERE}?send=trackers", replace(each, posture=None))
+    assert set(INFO.labels) - set(values(read(part), TRACKER)) == {"LFIN"}
 
 
 def test_vmc_holds_the_hips_in_the_world() -> None:
@@ -287,6 +294,26 @@ def test_vmt_switches_off_what_is_hidden_or_lost_and_all_at_the_end() -> None:
 
 def test_vmt_that_never_sent_ends_silently() -> None:
     assert made(f"vmt://{HERE}", unknown()) == [[], []]
+
+
+@pytest.mark.parametrize("policy", ["show", "fade", "hide", "hold"])
+@pytest.mark.parametrize("scheme", ["vmc", "vmc?send=trackers&hips=1m", "vrchat", "vmt"])
+def test_no_engine_is_ever_sent_what_is_no_number(scheme: str, policy: str) -> None:
+    """Whatever becomes of the pose; and when it is as it was, so is what is sent."""
+    scheme, mark, options = scheme.partition("?")
+    nowhere = replace(standing(t=51), posture=None)
+    nowhere.xyz[3] = np.nan  # then there is no humanoid
+    unsure = replace(standing(t=52), posture=posture(sigma=dict.fromkeys(BONES, np.nan)))
+    unsure.sigma[:] = np.nan
+    gone = replace(lost(standing(), 53), posture=None)
+    between = [nowhere, unsure, lost(standing(), 52.5), gone, unknown(0, 54)]
+    poses = [unknown(0, 49), standing(t=50), *between, standing(t=55), standing(t=56)]
+    address = f"{scheme}://{HERE}?uncertain={policy}{'&' * bool(mark)}{options}"
+    parts = [read(part) for part in made(address, *poses)]
+    for _, params in (message for part in parts for message in part):
+        assert np.isfinite([value for value in params if not isinstance(value, str)]).all()
+    first, last = (dict(part) if scheme == "vrchat" else part[2:] for part in (parts[1], parts[8]))
+    assert last == first
 
 
 # Markers by their labels

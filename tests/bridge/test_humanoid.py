@@ -184,6 +184,17 @@ def test_proportions_settle_in_a_second() -> None:
     np.testing.assert_allclose(solver.proportions.limbs, true.limbs, atol=0.015)
 
 
+def test_a_pose_that_is_lost_tells_nothing_of_proportions() -> None:
+    solver = HumanoidSolver(INFO)
+    for index in range(SETTLED):
+        solver.solve(pose(WALKER.pose(index), index))
+    before = solver.proportions.values.copy()
+    gone = replace(pose(WALKER.pose(0) * 2), provenance=np.full(41, Provenance.LOST, np.uint8))
+    for _ in range(100):
+        solver.solve(gone)
+    np.testing.assert_array_equal(solver.proportions.values, before)
+
+
 def test_a_calibrated_model_knows_the_proportions_from_the_first_pose_on(data_dir) -> None:
     xyz = capture(data_dir / "real" / "02_01.c3d")
     known = measured(INFO.labels, xyz[::10])

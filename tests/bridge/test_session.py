@@ -310,6 +310,52 @@ def test_bytes_of_which_no_frame_is_read_are_told_in_every_line() -> None:
     assert "no frame for 3 s, though 8,061 bytes came: `markerbridge doctor` tells why" in told
 
 
+def test_engines_are_told_when_no_frame_comes_and_recorders_are_not(monkeypatch) -> None:
+    monkeypatch.setattr("bridge.session.SILENT", 0.15)
+
+    class Stalling(Flood):
+        """Ten frames, none for a while, ten more, the end."""
+
+        def _receive(self, timeout: float) -> Iterable[MarkerFrame] | None:
+            if len(engine.lost) < 3 and self.counters["frames"] == 10:
+                self.clock.sleep_until(self.clock.now() + 0.02)
+                return None
+            if self.counters["frames"] < 20:
+                now, index = self.clock.now(), self.counters["frames"]
+                return (MarkerFrame(index, now, now, LAYOUT, STANDING),)
+            return super()._receive(timeout)
+
+    class Engine(Keep):
+        waiting = 120
+        wants_posture = True
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.lost: list[Pose] = []
+
+        def __call__(self, pose: Pose) -> None:
+            if (pose.provenance == Provenance.LOST).all():
+                self.lost.append(pose)
+            else:
+                super().__call__(pose)
+
+    engine, recorder = Engine(), Named("recorder")
+    running = session(Stalling(0), engine, recorder)
+    running.run(threading.Event())
+    running.close()
+    assert engine.indices == recorder.indices == list(range(20))
+    assert {pose.index for pose in engine.lost} == {9}
+    times = [pose.t for pose in engine.lost]
+    assert len(times) >= 3
+    assert times == sorted(set(times))
+    for pose in engine.lost:
+        assert np.isinf(pose.sigma).all()
+        assert pose.posture is not None
+        assert np.isinf(pose.posture.sigma).all()
+    assert running.status().frames == 20
+    assert running.status().lost_frames == 0
+
+
 def test_what_records_is_told_every_frame_even_those_that_overflow() -> None:
     class Record(Keep):
         records = True

@@ -1,8 +1,13 @@
 from __future__ import annotations
 
+import socket
+from contextlib import closing
+
 import pytest
 
+from drivers.clock import SYSTEM_CLOCK
 from drivers.frame import Layout, SourceError
+from drivers.osc_udp import OscSource, UdpTransport
 from drivers.registry import open_source
 from drivers.udp_sender import AddressError, UdpSender
 from drivers.url import Url, UrlError
@@ -22,6 +27,8 @@ from drivers.wire.registry import take_decoder
         ("osc://127.0.0.1", "names no port"),
         ("osc://127.0.0.1:70000", "a number from 0 to 65535"),
         ("osc://[::1", "write HOST:PORT"),
+        ("osc:127.0.0.1:9100", "write osc://HOST:PORT"),
+        ("osc://127.0.0.1:9100/frames", "write osc://HOST:PORT"),
         ("osc://127.0.0.1:0?dialect=x", "dialect=x is wrong: known are native"),
         ("c3d:a.c3d?speed=-1", "a factor above 0, or max"),
     ],
@@ -47,8 +54,6 @@ def test_both_ways_to_write_a_path_are_the_same() -> None:
 
 
 def test_a_second_listener_on_a_port_is_refused() -> None:
-    from drivers.osc_udp import OscSource
-
     with open_source("osc://127.0.0.1:0") as first:
         assert isinstance(first, OscSource)
         with pytest.raises(SourceError, match="another program uses it"):
@@ -83,3 +88,23 @@ def test_a_host_that_cannot_be_one_is_refused_in_plain_words(host: str) -> None:
         open_source(f"osc://127.0.0.1:0?dialect=qtm&control={host}")
     with pytest.raises(AddressError, match=f"cannot send to {host}:9100"):
         UdpSender(host, 9100)
+    with pytest.raises(AddressError, match=r"127\.0\.0\.1:0: ports are"):
+        UdpSender("127.0.0.1", 0)
+
+
+def test_a_name_that_has_both_is_the_ipv4_address_for_who_sends_and_who_listens(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    ask = socket.getaddrinfo
+
+    def both(host: str, port: int, **asked: int) -> list:
+        return [one for name in ("::1", "127.0.0.1") for one in ask(name, port, **asked)]
+
+    monkeypatch.setattr(socket, "getaddrinfo", both)
+    with closing(UdpTransport("localhost", 0, SYSTEM_CLOCK)) as transport:
+        with closing(UdpSender("localhost", transport.port)) as sender:
+            sender.send(b"here")
+        received = transport.receive(5.0)
+    assert received is not None
+    assert received.data == b"here"
+    assert transport.host == "127.0.0.1"

@@ -4,9 +4,12 @@ avatar in a browser that the VMC protocol moves (tests/receivers).
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from urllib.error import HTTPError
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -217,7 +220,7 @@ def avatar() -> Iterator[Avatar]:
 def sink(avatar: Avatar) -> Iterator[Sink]:
     """It moves the avatar, with hips as high as in the avatar's own rest pose."""
     hips = avatar.drawn(0).rest["hips"][1]
-    sink = open_sink(f"vmc://127.0.0.1:{avatar.port}?hips={hips}", CONTEXT)
+    sink = open_sink(f"vmc://127.0.0.1:{avatar.port}?hips={hips}m", CONTEXT)
     yield sink
     sink.close()
 
@@ -310,6 +313,16 @@ def test_the_avatar_moves_as_the_capture_does(
     for pose in whole[::12]:
         sink(pose)
         check(avatar.drawn(1), pose.posture)
+
+
+def test_the_relay_outlives_what_it_cannot_use(avatar: Avatar, sink: Sink) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.sendto(b"no OSC", ("127.0.0.1", avatar.port))
+    for path in ("nothing", "/nothing", "../../pyproject.toml"):
+        with pytest.raises(HTTPError, match="404"):
+            urlopen(avatar.url + path)
+    sink(greeting())
+    avatar.drawn(1)
 
 
 def test_who_looks_to_the_side_and_raises_the_left_arm(avatar: Avatar, sink: Sink) -> None:

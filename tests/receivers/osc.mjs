@@ -7,11 +7,20 @@ import osc from "osc";
 /**
  * Listens to a UDP port of this machine (0: any) and calls back with each datagram as
  * {messages: [{address, types, values}], timeTag: [seconds, fraction] or null, same}: whether
- * osc.js writes the same bytes again. Resolves to the port.
+ * osc.js writes the same bytes again. What is no OSC is told and skipped. Resolves to the port.
  */
 export async function listen(port, received) {
   const socket = createSocket({ type: "udp4", recvBufferSize: 4 << 20 });
-  socket.on("message", (datagram) => received(decoded(datagram)));
+  socket.on("message", (datagram) => {
+    let packet;
+    try {
+      packet = decoded(datagram);
+    } catch (error) {
+      console.error(`no OSC: ${error.message}`);
+      return;
+    }
+    received(packet);
+  });
   socket.bind(port, "127.0.0.1");
   await once(socket, "listening");
   return socket.address().port;

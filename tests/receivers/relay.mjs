@@ -20,22 +20,23 @@ const KINDS = { ".html": "text/html", ".js": "text/javascript", ".mjs": "text/ja
 const [udpPort = "39539", headless, folder, query] = process.argv.slice(2);
 
 const pages = new Set(); // open streams of events
-const waiting = []; // who asked for a picture
+const waiting = new Set(); // who asked for a picture
 
 const server = createServer((request, response) => {
-  const path = normalize(new URL(request.url, "http://localhost").pathname);
+  const path = normalize("/" + request.url.split("?")[0]); // no .. leads above the first /
   if (path === "/events") {
     response.writeHead(200, { "content-type": "text/event-stream" });
     response.flushHeaders();
     pages.add(response);
     response.on("close", () => pages.delete(response));
-    if (waiting.length) tell("draw", {});
+    if (waiting.size) tell("draw", {});
   } else if (path === "/picture" && request.method === "POST") {
-    const asking = waiting.shift();
-    if (asking) request.pipe(asking);
+    for (const asking of waiting) request.pipe(asking);
+    waiting.clear();
     request.resume().on("end", () => response.end());
   } else if (path === "/picture") {
-    waiting.push(response);
+    waiting.add(response);
+    response.on("close", () => waiting.delete(response));
     tell("draw", {});
   } else {
     const name = path === "/" ? "page.html" : path;
