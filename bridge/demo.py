@@ -49,7 +49,7 @@ def main(argv: list[str]) -> int:
     sinks = [*(options.to or [VMC]), *_view(options.view, console)]
     truth = f"osc://127.0.0.1:{_free_port()}"
     if options.snapshot:
-        check_picture(options.snapshot)
+        check_picture(options.snapshot, (".png",))
     with tempfile.TemporaryDirectory(prefix="markerbridge-") as folder:
         port = Path(folder) / "tracker"
         plan = plan_session({"source": f"serial:{port}", "sinks": sinks, "truth": truth})

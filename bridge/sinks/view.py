@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from select import select
+
 from bridge.pose import Pose
 from bridge.sinks.sink import Sink, SinkContext, ViewError
 from bridge.view.live import show
-from bridge.view.process import has_display, require_open3d, start, stop
+from bridge.view.process import hear, require_display, require_open3d, start, stop
 from drivers.url import Url
+
+HANGS = 1.0  # s without reading a pose after which the window hangs
 
 
 class ViewSink(Sink):
@@ -19,23 +23,30 @@ class ViewSink(Sink):
         url.finish()
         self.name = url.text
         self._truth = context.truth
-        info = context.info
+        self._hangs = False
         require_open3d()
-        if not has_display():
-            raise ViewError("no view: no display here (DISPLAY is not set, or nobody answers)")
-        self._process, self._connection = start(show, info.labels, info.principal)
+        require_display()
+        self._process, self._connection = start(show, context.info)
 
     def __call__(self, pose: Pose) -> None:
         if not self._process.is_alive():
             raise ViewError(f"{self._reason()}; the session goes on without it")
+        # Never into a pipe that is full: nobody knows how long that would take. One that is
+        # writable has room for far more than a pose.
+        self._hangs = not select([], [self._connection], [], HANGS)[1]
+        if self._hangs:
+            raise ViewError("the window hangs; the session goes on without it")
         self._connection.send((pose, self._truth(pose.index)))
 
     def _reason(self) -> str:
         """Why the process ended: what it said, if anything."""
         try:
-            return str(self._connection.recv()) if self._connection.poll() else "it ended"
-        except (EOFError, OSError):
-            return "the window is closed"
+            hear(self._process, self._connection)
+        except ViewError as error:
+            return str(error)
+        return "it ended"
 
     def close(self) -> None:
+        if self._hangs:
+            self._process.kill()
         stop(self._process, self._connection)

@@ -2,35 +2,62 @@
 
 from __future__ import annotations
 
-import os
+import time
+from collections.abc import Callable
 from multiprocessing.connection import Connection
-from pathlib import Path
+from typing import TYPE_CHECKING
 
-from bridge.pose import Pose
+from bridge.model import ModelInfo
+from bridge.view.controls import Look
+from bridge.view.player import LivePlayer, Moment, Player
 from bridge.view.process import READY
-from bridge.view.scene import Scene
-from bridge.view.window import Window
-from drivers.frame import Floats
+from bridge.view.scene import Worn
 
-SIZE = (1280, 720)
-IDLE = 1 / 60  # s between looks at the mouse while no pose comes
+if TYPE_CHECKING:
+    from bridge.view.viewer import Viewer
 
-Drawn = tuple[Pose, Floats | None]  # a pose, and the true one where it is known
+FRAME = 1 / 60  # s from one picture to the next
 
 
-def show(connection: Connection, labels: tuple[str, ...], principal: tuple[str, ...]) -> None:
-    """Draws what comes over the connection; ends with the window or the connection."""
-    if not Path("/dev/dri").exists():
-        # No graphics card: smooth edges take Mesa 50 ms a frame instead of 16, on every core.
-        os.environ.setdefault("DRI_NO_MSAA", "1")
-    window = Window(Scene(labels, principal), SIZE, visible=True)
+def show(connection: Connection, info: ModelInfo) -> None:
+    """Draws the moments that come over the connection; ends with the window or the connection."""
+    from bridge.view.viewer import Viewer
+
+    player = LivePlayer()
+    viewer = Viewer(info, Worn.of(info), player)
     connection.send(READY)
-    is_open = True
-    while is_open:
-        drawn: Drawn | None = None
-        if connection.poll(IDLE):
-            drawn = connection.recv()
-            while connection.poll():  # the newest wins
-                drawn = connection.recv()
-        is_open = window.draw(*drawn) if drawn else window.refresh()
-    window.close()
+
+    def take(seconds: float) -> None:
+        while connection.poll():
+            player.add(Moment(*connection.recv()))
+
+    _run(viewer, take)
+
+
+def replay(connection: Connection, info: ModelInfo, worn: Worn, player: Player, look: Look) -> None:
+    """Plays a recording until the window is closed, or the connection."""
+    from bridge.view.viewer import Viewer
+
+    viewer = Viewer(info, worn, player, look)
+    connection.send(READY)
+
+    def take(seconds: float) -> None:
+        if connection.poll():
+            connection.recv()  # EOFError: nobody wants it any more
+        player.advance(seconds)
+
+    _run(viewer, take)
+
+
+def _run(viewer: Viewer, take: Callable[[float], None]) -> None:
+    """Draws picture by picture, at most 60 a second. take: told how long ago it was called."""
+    last = due = time.monotonic()
+    try:
+        while viewer.draw():
+            due = max(due + FRAME, time.monotonic() - FRAME)
+            time.sleep(max(0.0, due - time.monotonic()))
+            now = time.monotonic()
+            take(now - last)
+            last = now
+    finally:
+        viewer.close()

@@ -36,16 +36,18 @@ def block(words: str) -> str:
 
 SIMULATE = block("simulate performer:walk")
 SESSION = block("take.c3d")
-REPLAY = block("captures/walk.c3d")
+REPLAY = block("simulate c3d:captures/walk.c3d")
 ENGINE = block("vmc://")
 TROUBLE = block("markerbridge doctor")
 MODEL = block("markerbridge train")
 FETCH = block("markerbridge fetch")
 CALIBRATE = block("markerbridge calibrate")
+VIEW = block("markerbridge view")
 
 
 def test_no_command_of_the_readme_is_left_out() -> None:
-    assert set(BLOCKS[2:]) == {SIMULATE, SESSION, TROUBLE, REPLAY, ENGINE, MODEL, FETCH, CALIBRATE}
+    run = {SIMULATE, SESSION, TROUBLE, VIEW, REPLAY, ENGINE, CALIBRATE, MODEL, FETCH}
+    assert set(BLOCKS[2:]) == run
     for setting_up in BLOCKS[:2]:
         assert "apt-get install" in setting_up
         assert "pip install -c requirements.lock" in setting_up
@@ -104,7 +106,7 @@ def test_a_live_session_with_the_simulated_tracker(command: str, tmp_path: Path)
         assert (tmp_path / "take.c3d").stat().st_size > 10_000
 
 
-def test_a_session_looked_into_recorded_and_played_again(tmp_path: Path) -> None:
+def test_a_session_looked_into_recorded_and_played_again(data_dir: Path, tmp_path: Path) -> None:
     with shell(SIMULATE, tmp_path):
         wait_for((tmp_path / "tracker").is_symlink, "the serial port")
         with shell(f"set -e\n{TROUBLE}", tmp_path) as commands:
@@ -112,6 +114,16 @@ def test_a_session_looked_into_recorded_and_played_again(tmp_path: Path) -> None
     assert f"serial:{tmp_path}/tracker" in output
     assert (tmp_path / "again.c3d").stat().st_size > 100_000
     assert len((tmp_path / "session.csv").read_text().splitlines()) > 300
+
+    # What was recorded is looked at as well; tests have no display for its window.
+    recording, capture = VIEW.splitlines()
+    (tmp_path / "captures").mkdir()
+    shutil.copy(data_dir / "real/02_03.c3d", tmp_path / "captures/walk.c3d")
+    shorter = "--seconds 1 --size 320x180 --fps 5"
+    with shell(f"set -e\n{recording} --png view.png\n{capture} {shorter}", tmp_path) as viewing:
+        finished(viewing, 60)
+    assert (tmp_path / "view.png").stat().st_size > 10_000
+    assert (tmp_path / "walk.gif").stat().st_size > 10_000
 
 
 def test_a_replay_with_its_summary(data_dir: Path, tmp_path: Path) -> None:
