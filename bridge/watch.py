@@ -14,6 +14,7 @@ from bridge.session import Status
 LOOK = 0.25  # s between looks at the counters
 LOG_EVERY = 10.0  # s between sums of what went wrong
 SILENT = 2.0  # s without a frame that are worth a line
+AWAY = 3.0  # s that a tracked marker is missing that are worth a line
 AT_MOST = 1.0  # s between lines about the connection; longer and longer while it comes and goes
 # Told as lines about the connection.
 CONNECTION = {"disconnects", "reconnects", "silences"}
@@ -31,8 +32,9 @@ class Watch:
     """Compares a session's counters from look to look; its time is the session's own.
 
     A source that is lost, silent or there again is told at once; a plug that flaps, less and less
-    often, with how often it did. All else that was counted is summed up `every` seconds, a line
-    for the source, the truth and each sink, if anything went wrong.
+    often, with how often it did. So is a tracked marker that is away for long, and its return. All
+    else that was counted is summed up `every` seconds, a line for the source, the truth and each
+    sink, if anything went wrong.
     """
 
     def __init__(self, source: str, every: float = LOG_EVERY) -> None:
@@ -40,10 +42,12 @@ class Watch:
         self._sums: dict[str, dict[str, int]] = {}  # counters at the last sum, by name
         self._summed = 0.0  # when the last sum was made
         self._connection = _Connection(source, every)
+        self._markers = _Markers(self._source)
 
     def look(self, status: Status) -> None:
         """To be called some times a second."""
         self._connection.look(status.source, status.seconds)
+        self._markers.look(status)
         elapsed = status.seconds - self._summed
         if elapsed < self._every:
             return
@@ -136,6 +140,35 @@ class _Connection:
             return f"{who}{found}" if refused else "nothing comes"
         doctor = f"`markerbridge doctor {shlex.quote(self._address)}`, in place of this, tells why"
         return f"{count:,} bytes came, but no frame in them{found}: {doctor}"
+
+
+class _Markers:
+    """Tracked markers that are missing for long, told when they are and when they are back."""
+
+    def __init__(self, source: str) -> None:
+        self._source = source
+        self._since: dict[str, float] = {}
+        self._told: set[str] = set()
+
+    def look(self, status: Status) -> None:
+        now = status.seconds
+        gone, back = [], []
+        if status.silent > LOOK:  # it is not the markers
+            return
+        for label, marker in status.markers.items():
+            if marker.state == "measured":
+                since = self._since.pop(label, now)
+                if label in self._told:
+                    back.append(f"{label} after {_span(now - since)}")
+                    self._told.discard(label)
+            elif now - self._since.setdefault(label, now) > AWAY and label not in self._told:
+                self._told.add(label)
+                if marker.missing < status.frames:  # one that the stream has not is told before
+                    gone.append(label)
+        if gone:
+            log.warning("%s: no %s for %g s", self._source, ", ".join(gone), AWAY)
+        if back:
+            log.info("%s: seen again: %s", self._source, ", ".join(back))
 
 
 @contextmanager

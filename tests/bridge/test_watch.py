@@ -37,6 +37,7 @@ class Bench:
     def __init__(self, *sinks: Sink) -> None:
         self.clock = VirtualClock()
         self.plugged = self.playing = True
+        self.hidden = np.zeros(len(LAYOUT.labels), bool)
         self.spoil: Callable[[int, bytes], bytes] = lambda _index, packet: packet
         self._index = 0
         self._encoder = CobsEncoder()
@@ -59,7 +60,8 @@ class Bench:
         self.clock.call_at(self._index / LAYOUT.rate, self._play)
         self._index += 1
         if self.playing and self._device is not None and self.plugged:
-            packet = self._encoder.encode_frame(self._index, self.clock.now(), STANDING)
+            xyz = np.where(self.hidden[:, None], np.float32(np.nan), STANDING)
+            packet = self._encoder.encode_frame(self._index, self.clock.now(), xyz)
             with contextlib.suppress(TransportLost):
                 self._device.send(self.spoil(self._index, packet))
 
@@ -135,6 +137,27 @@ def test_a_lost_line_and_a_found_one_are_told_at_once(lines) -> None:
     assert lines() == [f"{NAME}: found again after 10.0 min"]
     bench.run(100)
     assert lines() == []
+
+
+def test_a_marker_that_is_away_for_long_is_told_and_so_is_its_return(lines) -> None:
+    bench = Bench()
+    bench.run(3)
+    bench.hidden[2] = True
+    bench.run(2.5)
+    bench.hidden[:] = False
+    bench.run(5)
+    assert lines() == []
+    bench.hidden[[2, 5]] = True
+    bench.run(30)
+    two = f"{LAYOUT.labels[2]}, {LAYOUT.labels[5]}"
+    assert lines() == [f"{NAME}: no {two} for 3 s"]
+    bench.hidden[5] = False
+    bench.run(5)
+    (line,) = lines()
+    assert re.fullmatch(rf"{NAME}: seen again: {LAYOUT.labels[5]} after 30\.\d s", line)
+    bench.unplug()
+    bench.run(10)
+    assert lines() == [f"{NAME}: connection lost"]
 
 
 def test_a_short_break_is_told_as_one(lines) -> None:
