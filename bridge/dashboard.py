@@ -14,11 +14,12 @@ from rich.text import Text
 
 from bridge.session import Status
 from bridge.statistics import Ages, MarkerStatus
-from bridge.troubles import LOST, troubles
+from bridge.troubles import LOST, short, troubles
 from bridge.watch import HARMLESS
 
 WORST_RMS = 200.0  # mm at the end of the bar
 WIDE, TALL = 110, 30  # from which the markers have a table of their own
+WIDEST = 140  # columns: in wider rows figures would stand far from what they tell of
 TABLE = 40  # columns of that table
 CELL = 15  # columns that a large figure needs
 HEADING = 9  # columns
@@ -72,7 +73,7 @@ class Dashboard:
 
     def lines(self, width: int, height: int | None) -> list[Text]:
         """All lines, or what fits; the last one is empty while it goes on: a ^C has room there."""
-        blocks = [block for block in self._blocks(width, height) if block]
+        blocks = [block for block in self._blocks(min(width, WIDEST), height) if block]
         room = None if height is None else height - 1
         wanted = sum(map(len, blocks)) + len(blocks) - 1
         if room is None or wanted <= room:
@@ -242,7 +243,7 @@ class Dashboard:
             if sink["last_error"]:
                 items[-1] += f", last: {sink['last_error']}"
             if items:
-                lines += _flow(" SINK", [_shortened(_address(name), 30), *items], width)
+                lines += _flow(" SINK", [_shortened(short(name), 30), *items], width)
         return lines
 
     def _line(self, width: int) -> Block:
@@ -280,7 +281,7 @@ def _counter(name: str) -> Callable[[Status], int]:
 
 def _sink_hop(name: str, sink: Mapping[str, Any]) -> _Hop:
     lost = sink["dropped"] + sink["errors"]
-    return _Hop(_address(name), sink["age"], lambda at: at.sinks[name]["sent"], lost)
+    return _Hop(short(name), sink["age"], lambda at: at.sinks[name]["sent"], lost)
 
 
 def _away(marker: MarkerStatus) -> str:
@@ -323,11 +324,6 @@ def _shortened(text: str, width: int) -> str:
         return text
     head = max(0, width - 1) // 2
     return f"{text[:head]}…{text[len(text) - (width - 1 - head) :]}" if width > 0 else ""
-
-
-def _address(name: str) -> str:
-    """An address without its options."""
-    return name.partition("?")[0]
 
 
 def _clock(seconds: float) -> str:

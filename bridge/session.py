@@ -300,6 +300,8 @@ class Session:
         self._counters["frames"] += 1
         self._counters["imputed"] += int((pose.provenance == Provenance.IMPUTED).sum())
         self._counters["lost"] += bool((pose.provenance == Provenance.LOST).all())
+        if self._arrivals and frame.t - self._arrivals[-1] > SILENT:
+            self._arrivals.clear()  # a stream that begins anew is no slow one
         self._arrivals.append(frame.t)
         truth = self._context.truth(frame.index)
         if truth is not None:

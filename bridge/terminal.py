@@ -38,12 +38,17 @@ def shown(
     live = Live(console=console, auto_refresh=False, transient=True) if _is_live(console) else None
     # The newest status, and those before it that rates and troubles are told against.
     known: deque[Status] = deque([status()], maxlen=1 + round(LATELY / LIVE_EVERY) if live else 2)
+    size = console.size
 
     def show() -> None:
+        nonlocal size
         known.append(status())
         before = known[0]
         with contextlib.suppress(OSError):
             if live:
+                if console.size != size:  # the terminal has broken the lines that stand there anew
+                    size = console.size
+                    console.clear()
                 live.update(Dashboard(title, known[-1], before), refresh=True)
             else:
                 console.print(Text(line(known[-1], before)), soft_wrap=True)

@@ -76,12 +76,12 @@ def _sinks(status: Status, before: Status | None) -> Iterator[Trouble]:
     for name, sink in status.sinks.items():
         earlier = before.sinks[name] if before else {}
         if sink["errors"] > earlier.get("errors", 0):
-            yield Trouble("sink fails", f"{_short(name)}: {sink['last_error']}", False)
+            yield Trouble("sink fails", f"{short(name)}: {sink['last_error']}", False)
         elif (dropped := sink["dropped"] - earlier.get("dropped", 0)) > 0:
-            words = f"{_short(name)} does not keep up: {dropped:,} poses were dropped"
+            words = f"{short(name)} does not keep up: {dropped:,} poses were dropped"
             yield Trouble("sink slow", words, False)
 
 
-def _short(address: str) -> str:
+def short(address: str) -> str:
     """An address without its options, which may be long."""
     return address.partition("?")[0]

@@ -138,9 +138,13 @@ def open_log(url: Url, clock: Clock) -> Source:
     address says is in place of what the recorded address said: labels, frame, reorder and so on.
     Raises UrlError or SourceError.
     """
+    return play_log(SessionLog(Path(url.file_path())), url, clock)
+
+
+def play_log(log: SessionLog, url: Url, clock: Clock) -> Source:
+    """The same of a log that has been opened: what is not whole of it is not said again."""
     path = url.file_path()
     speed = url.take("speed", 1.0, _speed)
-    log = SessionLog(Path(path))
     name = url.take("source", _first(log), _among(log))
     if not name:
         url.finish()

@@ -7,7 +7,7 @@ import threading
 from collections import Counter, deque
 
 from bridge.pose import Pose
-from bridge.sinks.sink import Input, Sink, SinkError
+from bridge.sinks.sink import Input, Sink, SinkClosed, SinkError
 from bridge.statistics import Hop
 from drivers.clock import Clock
 from drivers.session_log import FOUND, LOST, LineBytes, LineEvent
@@ -42,6 +42,7 @@ class Outlet:
         self._queue: deque[Pose | Input] = deque()
         self._wake = threading.Condition()
         self._closing = False
+        self._unwanted = False
         self._thread: threading.Thread | None = None
         self._tokens = self._most = max(1.0, sink.rate * BURST)
         self._refilled = clock.now()
@@ -53,6 +54,8 @@ class Outlet:
 
     def put(self, pose: Pose) -> None:
         """Takes a pose; drops the oldest waiting one where too many wait."""
+        if self._unwanted:
+            return
         if self._thread is None:
             if self._too_fast and self._wait_for_token() > 0:
                 self.counters["rate_limited"] += 1
@@ -127,12 +130,18 @@ class Outlet:
         return 0.0
 
     def _deliver(self, item: Pose | Input) -> None:
+        if self._unwanted:
+            return
         try:
             if not isinstance(item, Pose):
                 self.sink.record(item)
                 self.counters["recorded"] += 1
                 return
             self.sink(item)
+        except SinkClosed as closed:
+            self._unwanted = True
+            log.info("%s: %s", self.sink.name, closed)
+            return
         except Exception as error:
             self._failed(error)
             return

@@ -20,6 +20,10 @@ class SinkError(MarkerbridgeError):
     """A sink cannot be opened or written; the message names it and says what to do."""
 
 
+class SinkClosed(SinkError):
+    """Nobody wants poses any more, and nothing is wrong: the sink gets no more of them."""
+
+
 class ViewError(SinkError):
     """The view cannot be shown here; the rest of a session goes on without it."""
 

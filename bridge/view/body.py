@@ -12,7 +12,7 @@ from bridge.humanoid.skeleton import BONES, PARENTS, ROW
 from bridge.view import mesh
 from bridge.view.camera import Camera
 from bridge.view.colours import Colour
-from bridge.view.mesh import Array, Part, Triangles
+from bridge.view.mesh import Array, Part, Triangles, or_nothing
 from drivers.frame import Floats
 
 # Metres.
@@ -48,12 +48,6 @@ _STOUT = np.where(np.isin(_OWNERS, ROW["Head"]), 0.3, 0.13)[:, None]  # how thic
 _SIDE = np.array(
     [[0.0, 0.0, 1.0] if "Foot" in BONES[owner] else [0.0, 1.0, 0.0] for owner in _OWNERS]
 )
-
-
-def or_nothing(points: Array) -> Array:
-    """Shapes (N, V, 3) with those that are not wholly known shrunk to a point: they vanish."""
-    known = np.isfinite(points).all(axis=(1, 2), keepdims=True)
-    return np.where(known, points, 0.0)
 
 
 class Colours(NamedTuple):

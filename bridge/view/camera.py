@@ -9,6 +9,7 @@ import numpy as np
 
 from bridge.view.mesh import Array
 
+SIZE = (1280, 720)  # of the picture, in pixels
 FIELD = math.radians(34)  # of view, upright
 
 

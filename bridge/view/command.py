@@ -20,12 +20,13 @@ from bridge.view.player import SPEEDS, Moment, Player
 from bridge.view.process import hear, require_display, require_open3d, start, stop
 from bridge.view.recorded import read_recording, recording_url
 from bridge.view.scene import Worn
-from bridge.view.snapshot import SIZE, Film, check_picture, film
+from bridge.view.snapshot import Film, check_picture, film
 from drivers.errors import UsageError
 from drivers.options import checked, positive
 
 ANIMATIONS = (".gif", ".webp", ".png")
 SECONDS, FPS = 4.0, 20.0
+MOST_FPS = 50.0  # a GIF of more is shown slower than it is meant
 SMALLEST, LARGEST = 64, 4096  # pixels a side
 
 
@@ -80,7 +81,7 @@ def _check(options: argparse.Namespace) -> Path | None:
 
 
 def _order(options: argparse.Namespace, path: Path, player: Player) -> Film:
-    size = options.size or SIZE
+    size = options.size or camera.SIZE
     if options.png:
         return Film(path, options.at, size=size)
     fps = options.fps or FPS
@@ -138,6 +139,13 @@ def _length(text: str) -> float:
     return value
 
 
+def _fps(text: str) -> float:
+    value = positive(text)
+    if not 1 <= value <= MOST_FPS:
+        raise ValueError(f"'{text}': from 1 to {MOST_FPS:g} pictures a second")
+    return value
+
+
 def _size(text: str) -> tuple[int, int]:
     """`640x360`. Raises ValueError."""
     width, _, height = text.partition("x")
@@ -183,11 +191,11 @@ def _parser() -> argparse.ArgumentParser:
         help=f"how long the animation is (default: {SECONDS:g}, or to the end)",
     )  # fmt: skip
     add(
-        "--fps", type=checked(positive), metavar="N",
-        help=f"its pictures a second (default: {FPS:g})",
+        "--fps", type=checked(_fps), metavar="N",
+        help=f"its pictures a second (default: {FPS:g}, at most {MOST_FPS:g})",
     )  # fmt: skip
     add(
         "--size", type=checked(_size), metavar="WxH",
-        help=f"of the picture, in pixels (default: {SIZE[0]}x{SIZE[1]})",
+        help=f"of the picture, in pixels (default: {camera.SIZE[0]}x{camera.SIZE[1]})",
     )  # fmt: skip
     return parser

@@ -49,6 +49,12 @@ class Mesh:
         self.triangles: Triangles = np.concatenate(triangles).astype(np.int32)
 
 
+def or_nothing(points: Array) -> Array:
+    """Shapes (N, V, 3) with those that are not wholly known shrunk to a point: they vanish."""
+    known = np.isfinite(points).all(axis=(1, 2), keepdims=True)
+    return np.where(known, points, 0.0)
+
+
 def lit(colours: Array, normals: Array) -> Array:
     """Colours (..., 3) as a lamp shows them that is over the viewer's left shoulder.
 

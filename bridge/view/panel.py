@@ -110,7 +110,7 @@ class Panel:
         sheet.text(f"RMS {min(error, _MOST):.0f} mm", 0.0, high + 0.022, _LARGE, _INK, 0.5)
 
     def _state(self, controls: Controls) -> None:
-        """What is not as usual, at the upper right."""
+        """What is not as usual, at the upper right, and the note in the middle."""
         player, look = controls.player, controls.look
         said: list[tuple[str, Colour]] = []
         if player.moment is None:
@@ -123,9 +123,8 @@ class Panel:
             said.append((f"SPEED {player.speed:g}x", _INK))
         if not look.follow:
             said.append(("CAMERA STANDS", _FAINT))
-        if self.note:
-            said.append((self.note.upper(), _INK))
         y = 0.5 - _MARGIN - _SMALL
+        self._sheet.text(self.note.upper(), 0.0, y, _SMALL, _INK, 0.5)
         for text, colour in said:
             self._sheet.text(text, self._sheet.width / 2 - _MARGIN, y, _SMALL, colour, 1.0)
             y -= _LINE

@@ -15,7 +15,6 @@ from drivers.files import whole_file
 
 Pixels = npt.NDArray[np.uint8]  # (height, width, 3)
 
-ANIMATIONS = (".gif", ".webp", ".png")
 _SHADES = (0.3, 0.45, 0.6, 0.8, 1.0)  # of each colour that might come to be seen
 
 

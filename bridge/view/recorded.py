@@ -18,7 +18,7 @@ from bridge.view.scene import Worn
 from drivers.clock import VirtualClock
 from drivers.errors import UsageError
 from drivers.frame import Floats, Layout, MarkerFrame, SourceError
-from drivers.log_source import TRUTH
+from drivers.log_source import TRUTH, play_log
 from drivers.registry import open_source
 from drivers.session_log import SessionLog
 from drivers.url import Url
@@ -121,7 +121,7 @@ def _estimated(url: Url, model: Model) -> Iterator[Moment]:
     log = SessionLog(Path(url.file_path())) if url.scheme == "log" else None
     truth = _truth(log, model.info, clock) if log else None
     estimator = PoseEstimator(model)
-    with open_source(url.text, clock) as source:
+    with play_log(log, url, clock) if log else open_source(url.text, clock) as source:
         for frame in source:
             if not set(model.info.tracked) & set(frame.layout.labels):
                 raise SourceError(
@@ -171,7 +171,8 @@ def _truth(log: SessionLog, info: ModelInfo, clock: VirtualClock) -> Truth | Non
     """The true poses that a log has beside its source."""
     if TRUTH not in log.sources or log.sources.keys() == {TRUTH}:
         return None
-    return Truth(open_source(f"log:{log.path}?source={TRUTH}", clock), info.labels)
+    line = Url.parse(f"log:{log.path}").adding({"source": TRUTH})
+    return Truth(play_log(log, line, clock), info.labels)
 
 
 def _true(truth: Truth | None, clock: VirtualClock, index: int, t: float) -> Floats | None:

@@ -19,7 +19,7 @@ from bridge.model import ModelInfo
 from bridge.pose import Pose, Provenance
 from bridge.truth import rms_mm
 from bridge.view import mesh
-from bridge.view.body import Body, Bones, Colours, or_nothing
+from bridge.view.body import Body, Bones, Colours
 from bridge.view.camera import VIEWPOINTS, Camera
 from bridge.view.colours import (
     BACKGROUND,
@@ -35,7 +35,7 @@ from bridge.view.colours import (
     Colour,
 )  # fmt: skip
 from bridge.view.controls import Look
-from bridge.view.mesh import Array, Mesh
+from bridge.view.mesh import Array, Mesh, or_nothing
 from bridge.view.player import TRAIL_POINTS, Moment
 from bridge.view.skeleton import stick_rows
 from bridge.view.world import SQUARES, Floor, Follow, Trail, share
@@ -106,6 +106,7 @@ class Scene:
         self._origin = [labels.index(label) for label in worn.origin]
         self._follow = Follow([labels.index(label) for label in REFERENCES])
         self._last: float | None = None
+        self._followed = self._beside = False
 
         trail = (TRAIL_POINTS - 1, 4, _QUAD)
         disc = (len(discs) + bool(worn.origin), len(_CIRCLE), _CIRCLE_TRIANGLES)
@@ -130,16 +131,29 @@ class Scene:
         self._estimate = Body(ends, estimate, shadows[1])
         self._solvers = {body: HumanoidSolver(info) for body in (self._true, self._estimate)}
 
-    def update(self, moment: Moment, trail: list[Moment], look: Look, camera: Camera) -> None:
-        """Moves everything to a moment. trail: what was shown before it, the newest first."""
+    def update(
+        self,
+        moment: Moment,
+        trail: list[Moment],
+        look: Look,
+        camera: Camera,
+        *,
+        playing: bool = True,
+    ) -> None:
+        """Moves everything to a moment. trail: what was shown before it, the newest first. Where
+        nothing is playing the error is told as it is.
+        """
         pose, truth = moment
         step = math.inf if self._last is None else pose.t - self._last
         step = step if 0 <= step <= _LEAP else math.inf
         self._last = pose.t
         self._follow.turn_to(VIEWPOINTS[look.view].facing)
         if look.follow or step == math.inf:
-            self._follow.update(pose.xyz, step)
-        aside = camera.sideways * (0.0 if truth is None or look.over else APART)
+            self._follow.update(pose.xyz, step if self._followed else math.inf)
+        self._followed = look.follow
+        # A true pose that is missing for a while does not make the other leap to the middle.
+        self._beside = self._beside or truth is not None
+        aside = camera.sideways * (APART if self._beside and not look.over else 0.0)
         sigma = pose.sigma if look.sigma else None
         kinds = Colours(_SPHERES[pose.provenance], _STICKS[pose.provenance])
         self._place(self._estimate, pose, sigma, kinds, aside, look, camera)
@@ -153,7 +167,7 @@ class Scene:
         for path in self._trails:
             path.place(went, ages, self._follow, aside, camera)
         self._place_discs(pose, camera)
-        self._measure(moment, step)
+        self._measure(moment, step if playing else math.inf)
 
     def _place(
         self,

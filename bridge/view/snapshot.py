@@ -10,13 +10,13 @@ from typing import NamedTuple
 from bridge.model import ModelInfo
 from bridge.pose import Pose
 from bridge.sinks.sink import SinkError
+from bridge.view.camera import SIZE
 from bridge.view.controls import Look
 from bridge.view.player import Moment, Player
 from bridge.view.process import READY, hear, require_open3d, start, stop
 from bridge.view.scene import Worn
 from drivers.frame import Floats
 
-SIZE = (1280, 720)
 FINER = 2  # drawn so much larger and averaged: smooth edges
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from bridge.model import ModelInfo
 from bridge.sinks.sink import SinkError
-from bridge.view.camera import VIEWPOINTS
+from bridge.view.camera import SIZE, VIEWPOINTS
 from bridge.view.colours import BACKGROUND
 from bridge.view.controls import Controls, Look
 from bridge.view.panel import Panel
@@ -21,7 +21,6 @@ from bridge.view.scene import Scene, Worn
 from bridge.view.sheet import Sheet
 from bridge.view.window import Window
 
-SIZE = (1280, 720)
 NOTE = 4.0  # s that a note stands
 ANIMATION_FRAME = 0.05  # s
 ANIMATION_HEIGHT = 360
@@ -30,7 +29,7 @@ LONGEST = 60.0  # s of an animation
 
 class Viewer:
     """info, worn: of whom. player: what is shown. finer: drawn so much larger and averaged, for
-    smooth edges. Pictures and animations that a key asks for go into `folder`.
+    smooth edges. Pictures and animations that a key asks for go into the current folder.
     """
 
     def __init__(
@@ -43,7 +42,6 @@ class Viewer:
         size: tuple[int, int] = SIZE,
         visible: bool = True,
         finer: int = 1,
-        folder: Path | None = None,
     ) -> None:
         self.controls = Controls(look or Look(), player)
         self._scene = Scene(info, worn)
@@ -53,7 +51,6 @@ class Viewer:
         size = (size[0] * finer, size[1] * finer)
         self._window = Window(meshes, BACKGROUND, size, visible, self.controls.press)
         self._finer = finer
-        self._folder = folder or Path()
         self._view = ""
         self._noted = 0.0
         self._animation: Animation | None = None
@@ -73,7 +70,8 @@ class Viewer:
         moment = controls.player.moment
         if moment:
             trail = controls.player.trail() if look.trail else []
-            self._scene.update(moment, trail, look, camera)
+            playing = controls.player.playing
+            self._scene.update(moment, trail, look, camera, playing=playing)
         self._panel.update(moment, self._scene.error, controls, camera)
         is_open = self._window.draw()
         self._take()
@@ -116,7 +114,7 @@ class Viewer:
 
     def _save(self, ending: str, save: Callable[[Path], None]) -> None:
         """Saves under a name that says when, on a thread of its own: the window goes on."""
-        path = self._folder / f"{datetime.now():markerbridge-%Y-%m-%d-%H.%M.%S}{ending}"
+        path = Path(f"{datetime.now():markerbridge-%Y-%m-%d-%H.%M.%S}{ending}")
 
         def work() -> None:
             try:

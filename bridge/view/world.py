@@ -7,10 +7,9 @@ import math
 import numpy as np
 
 from bridge.body_frame import REFERENCES, BodyFrame
-from bridge.view.body import or_nothing
 from bridge.view.camera import Camera
 from bridge.view.colours import BACKGROUND, Colour
-from bridge.view.mesh import Array, Part
+from bridge.view.mesh import Array, Part, or_nothing
 from bridge.view.player import TRAIL
 from drivers.frame import Floats
 

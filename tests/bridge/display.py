@@ -8,10 +8,12 @@ import socket
 import struct
 import subprocess
 import tempfile
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 _KEYCODES = {"q": 24, "s": 39}  # of Xvfb's keyboard
+_HELD = 0.03  # s that a key is down: of one that goes up at once the server forgets that it did
 
 
 @contextmanager
@@ -50,8 +52,9 @@ def press(display: str, *keys: str) -> None:
                 fake = struct.pack("<BBHBBxxIIxxxxxxxxHHxxxxxxxx", reply[9], 2, 9, event,
                                    _KEYCODES[key], 0, 0, 0, 0)  # fmt: skip
                 server.sendall(fake)
-        server.sendall(struct.pack("<BxH", 43, 1))  # asks for something, to know that all is read
-        _read(server, 32)
+                server.sendall(struct.pack("<BxH", 43, 1))  # to hear when it is read
+                _read(server, 32)
+                time.sleep(_HELD)
 
 
 def _read(server: socket.socket, count: int) -> bytes:

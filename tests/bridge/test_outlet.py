@@ -7,7 +7,7 @@ import pytest
 
 from bridge.pose import Pose
 from bridge.sinks.outlet import Outlet, Tap
-from bridge.sinks.sink import Input, Sink, SinkError
+from bridge.sinks.sink import Input, Sink, SinkClosed, SinkError
 from drivers.clock import SYSTEM_CLOCK, VirtualClock
 from drivers.session_log import FOUND, LOST, LineBytes, LineEvent
 from drivers.transport import Received
@@ -60,6 +60,25 @@ def test_a_recorder_gets_every_pose_however_slow_it_is() -> None:
     assert gate.taken == list(range(500))
     assert outlet.counters == {"sent": 500}
     assert gate.closed == 1
+
+
+class Closed(Gate):
+    """Whoever looked at it has gone."""
+
+    def __call__(self, pose: Pose) -> None:
+        self.taken.append(pose.index)
+        if pose.index == 2:
+            raise SinkClosed("the window was closed")
+
+
+def test_a_sink_that_nobody_wants_any_more_gets_no_poses_and_is_no_error() -> None:
+    closed = Closed()
+    outlet = Outlet(closed, SYSTEM_CLOCK)
+    for index in range(5):
+        outlet.put(pose(index))
+    assert closed.taken == [0, 1, 2]
+    assert outlet.counters == {"sent": 2}
+    assert outlet.last_error is None
 
 
 class Recorder(Gate):

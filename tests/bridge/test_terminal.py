@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.text import Text
 
 from bridge import terminal
-from bridge.dashboard import Dashboard
+from bridge.dashboard import WIDEST, Dashboard
 from bridge.estimator import PoseEstimator
 from bridge.model import Model
 from bridge.pose import Pose
@@ -27,10 +27,11 @@ from bridge.statistics import MarkerStatus
 from bridge.terminal import line, shown, summarise
 from bridge.troubles import troubles
 from drivers.clock import VirtualClock
-from drivers.frame import Floats, Layout
+from drivers.frame import Floats, Layout, MarkerFrame
 from drivers.transport import memory_line
 from drivers.wire.cobs import CobsDecoder, CobsEncoder
 from drivers.wire_source import WireSource
+from tests.end_to_end.peers import wait_for
 
 MODEL = Model("default")
 TRACKED = MODEL.info.tracked
@@ -96,12 +97,14 @@ def drawn(dashboard: Dashboard, width: int, height: int) -> list[str]:
     return file.getvalue().splitlines()
 
 
-@pytest.mark.parametrize(("width", "height"), [(80, 24), (120, 40), (60, 15), (40, 12), (24, 5)])
+@pytest.mark.parametrize(
+    ("width", "height"), [(80, 24), (120, 40), (60, 15), (40, 12), (24, 5), (300, 60)]
+)
 def test_the_dashboard_fits_and_what_matters_most_is_there(troubled, width, height) -> None:
     before, status = troubled
     lines = drawn(Dashboard(TITLE, status, before), width, height)
     assert len(lines) <= height
-    assert max(map(len, lines)) <= width
+    assert max(map(len, lines)) <= min(width, WIDEST)
     assert lines[0].rstrip().endswith("SINK FAILS  0:00:08")
     assert lines[-1].strip() == ""
     shown_text = " ".join(" ".join(lines).split())
@@ -126,6 +129,18 @@ def test_a_healthy_session_has_no_troubles(healthy) -> None:
     ]
     assert "SINK" not in " ".join(lines)
     assert "nothing so far" in " ".join(lines)
+
+
+def test_a_stream_that_begins_anew_is_no_slow_one() -> None:
+    session = played(480)
+    began = session.status().seconds + 3.0
+    for index in range(20):
+        session._clock.sleep_until(began + index / 120)
+        t = session._clock.now()
+        session.handle(MarkerFrame(1000 + index, t, t, LAYOUT, STANDING))
+    status = session.status()
+    assert status.rate == pytest.approx(120, rel=0.01)
+    assert troubles(status, status) == []
 
 
 def changed(status: Status, **counters: int) -> Status:
@@ -288,6 +303,23 @@ def test_log_lines_do_not_tear_the_dashboard(troubled, monkeypatch, logging_kept
     rows = file.screen()
     assert sum("AGE IN MS" in row for row in rows) == 1
     assert any("serial:/dev/ttyUSB0: ended" in row for row in rows)
+
+
+def test_a_terminal_whose_size_changes_is_cleared_of_what_it_broke_anew(troubled, monkeypatch):
+    monkeypatch.setattr(terminal, "LIVE_EVERY", 0.002)
+    file = Tty()
+    console = Console(file=file, width=100, height=24, force_terminal=True)
+    drawn: list[str] = []  # up to each time that it was cleared, and since
+
+    def complete(times: int) -> bool:
+        drawn[:] = file.getvalue().split("\x1b[2J")
+        return len(drawn) > times and "RUNNING" in drawn[times]
+
+    with shown(console, lambda: troubled[1], TITLE):
+        for times, width in enumerate((100, 60, 80)):
+            console.width = width
+            wait_for(partial(complete, times), f"a screen {width} wide")
+    assert len(drawn) == 3
 
 
 def test_a_session_of_which_nothing_could_be_read_says_so_at_its_end(healthy) -> None:

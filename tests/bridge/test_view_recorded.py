@@ -101,20 +101,23 @@ def test_a_log_can_be_estimated_anew(log: Path) -> None:
         np.testing.assert_array_equal(old[index].truth, new[index].truth)
 
 
-def test_a_picture_is_written_without_a_display(clip: Path, tmp_path: Path, capsys) -> None:
-    path = tmp_path / "view.png"
-    assert main([str(clip), "--png", str(path), "--at", "1.5s", "--size", "320x180"]) == 0
-    with Image.open(path) as picture:
-        assert picture.size == (320, 180)
-    assert f"{path}: a picture of 320x180 pixels" in capsys.readouterr().err
+@pytest.mark.parametrize("model", [None, MODEL])
+def test_of_a_log_that_is_cut_short_it_is_said_once(log: Path, tmp_path, caplog, model) -> None:
+    cut = tmp_path / "cut.mcap"
+    whole = log.read_bytes()
+    cut.write_bytes(whole[: len(whole) // 2])
+    take, _ = read(cut, model)
+    assert take[0].truth is not None
+    assert caplog.text.count("is not whole") == 1
 
 
-def test_an_animation_is_as_long_as_asked_for(clip: Path, tmp_path: Path) -> None:
+def test_an_animation_is_as_long_as_asked_for(clip: Path, tmp_path: Path, capsys) -> None:
     path = tmp_path / "view.gif"
     options = ["--model", "default", "--seconds", "0.5", "--fps", "12", "--size", "160x90"]
     assert main([str(clip), "--animation", str(path), *options]) == 0
     with Image.open(path) as animation:
         assert (animation.n_frames, animation.size) == (6, (160, 90))
+    assert f"{path}: 6 pictures of 160x90 pixels" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("ending", [".gif", ".webp", ".png"])
@@ -213,7 +216,15 @@ def test_what_is_asked_for_in_vain_is_one_line(tmp_path: Path, clip: Path, monke
 
 
 @pytest.mark.parametrize(
-    "options", [["--at", "-1"], ["--size", "9x9"], ["--size", "big"], ["--fps", "0"], ["--at", "x"]]
+    "options",
+    [
+        ["--at", "-1"],
+        ["--size", "9x9"],
+        ["--size", "big"],
+        ["--fps", "0"],
+        ["--fps", "51"],
+        ["--at", "x"],
+    ],
 )
 def test_values_that_cannot_be_meant_are_wrong_usage(options: list[str], capsys) -> None:
     with pytest.raises(SystemExit) as caught:
