@@ -59,6 +59,18 @@ EXTRAS = {
 
 def main(argv: list[str] | None = None) -> int:
     """Runs a subcommand. 0: done; 1: failed while running; 2: wrong usage."""
+    try:
+        return _run(argv)
+    finally:
+        try:
+            if sys.stderr:
+                sys.stderr.flush()
+        except OSError:
+            # Python would try once more at its end, and end with a status of its own.
+            sys.stderr = None
+
+
+def _run(argv: list[str] | None) -> int:
     arguments = sys.argv[1:] if argv is None else argv
     parser = argparse.ArgumentParser(
         prog="markerbridge",
