@@ -13,7 +13,7 @@ from drivers.frame import Floats
 _HEAD = np.array([0.0, -0.01, -0.09])  # m: from the headband's middle to the head's joint
 _ANKLE = 0.045  # m: from the ankle's middle to its marker
 _UPRIGHT = 0.92  # cosine to the vertical: less of pelvis or chest tells nothing of how they stand
-_TRUNKS = [1, 1, 0, 0]  # of pelvis, chest, head: what arms and legs hang on
+_TRUNKS = np.array([1, 1, 0, 0])  # of pelvis, chest, head: what arms and legs hang on
 # x outwards, of the left and the right side.
 OUT = np.array([[-1.0, 1.0, 1.0], [1.0, 1.0, 1.0]])
 SIDES = OUT[:, :1]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bridge.humanoid.rotations import Array, cross, unit
+from bridge.humanoid.rotations import Array, cross, length_of, unit
 from drivers.frame import Floats
 
 # Sums of markers; in pairs, `{}` is L and then R.
@@ -109,11 +109,12 @@ class LandmarkFinder:
             np.array([at["waist forward"], at["chest up"], at["head forward"]]),
         )
         pelvis, chest, _ = axes
-        width = np.linalg.norm(at["pelvis width"])
-        depth = np.linalg.norm(at["waist front"] - at["waist back"])
+        depth = at["waist front"] - at["waist back"]
+        width, depth, breadth = length_of(
+            np.array([at["pelvis width"], depth, at["shoulders right"]])
+        )
         hip = _HIP * [width, depth, width] + _HIP_MORE
         hips = at["waist front"] + np.array([hip * _LEFT, hip]) @ pelvis.T
-        breadth = np.linalg.norm(at["shoulders right"])
         return Landmarks(
             axes=axes,
             hips=hips,

@@ -56,8 +56,8 @@ def quaternions(matrices: Array) -> Array:
     rows[..., :3, 3] = rows[..., 3, :3] = skew
     squares = 1.0 + np.einsum("...ii->...i", m) @ _DIAGONAL.T
     np.einsum("...ii->...i", rows)[...] = squares
-    largest = squares.argmax(axis=-1)[..., None, None]
-    found = np.take_along_axis(rows, largest, axis=-2)[..., 0, :]
+    flat = rows.reshape(-1, 4, 4)
+    found = flat[np.arange(len(flat)), squares.argmax(axis=-1).ravel()].reshape(squares.shape)
     return unit(np.where(found[..., 3:] < 0, -found, found))
 
 

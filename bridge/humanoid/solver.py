@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import numpy.typing as npt
 
 from bridge.humanoid.body import OUT, SIDES, UP, Body, lowered, outside
 from bridge.humanoid.landmarks import LandmarkFinder, Landmarks
@@ -29,10 +30,11 @@ _FEET = -0.06  # sine of how far heel to toe, as their markers lie, rises in a f
 _UNKNOWN = 1e6  # m: an infinite sigma as a number that can be averaged
 
 
-def _rows(*names: str) -> list[int]:
-    return [ROW[name] for name in names]
+def _rows(*names: str) -> npt.NDArray[np.intp]:
+    return np.array([ROW[name] for name in names], np.intp)
 
 
+_PARENTS = PARENTS[1:]
 _CLAVICLES = _rows("LeftShoulder", "RightShoulder")
 _UPPER = _rows("LeftUpperArm", "RightUpperArm", "LeftUpperLeg", "RightUpperLeg")
 _LOWER = _rows("LeftLowerArm", "RightLowerArm", "LeftLowerLeg", "RightLowerLeg")
@@ -50,7 +52,7 @@ class HumanoidSolver:
         self._find = LandmarkFinder(info.labels)
         self._told_by = _told_by(info.labels)
         self._measuring = Measuring(None if known is None else Proportions(np.array(known)))
-        self._rest = rest_pose(self.proportions)
+        self._adopt_build()
         self._last: tuple[float, Array] | None = None  # when, and what was outside of the feet
 
     @property
@@ -67,17 +69,22 @@ class HumanoidSolver:
         # A lost pose stays where it was: it would count as often as it is shown.
         if not (pose.provenance == Provenance.LOST).all() and self._measuring.due():
             self._measuring.add(body.shows())
-            self._rest = rest_pose(self.proportions)
+            self._adopt_build()
         joints = np.empty((len(BONES), 3))
         turns = np.empty((len(BONES), 3, 3))
         self._place_trunk(joints, turns, body)
-        lengths = np.repeat(self.proportions.limbs, 2, axis=0)
         joints[_LOWER], joints[_ENDS], turns[_UPPER], turns[_LOWER] = placed(
-            joints[_UPPER], body.ends, body.bends, lengths
+            joints[_UPPER], body.ends, body.bends, self._lengths
         )
         _turn_hands(joints, turns, body.seen)
         _turn_feet(turns, body.seen)
         return self._posture(joints, turns, pose)
+
+    def _adopt_build(self) -> None:
+        """Takes over what follows from the proportions alone."""
+        self._rest = rest_pose(self.proportions)
+        self._shown_rest = self._rest.astype(np.float32)
+        self._lengths = np.repeat(self.proportions.limbs, 2, axis=0)
 
     def _outside(self, seen: Landmarks, t: float) -> Array:
         """What is outside of the feet, a little late: a foot that stands still must not move when
@@ -94,38 +101,39 @@ class HumanoidSolver:
         """Joints and rotations from the hips to the head and the clavicles, and the joints where
         arms and legs begin.
         """
-        build, seen = self.proportions, body.seen
+        build, seen, rest = self.proportions, body.seen, self._rest
         pelvis, chest, head = body.axes
-        legs = (OUT * build.hip) @ pelvis.T
-        hips = body.hips + _lacking(body.hips + legs, body.ends[2:], build.limbs[1].sum())
+        legs = rest[_UPPER[2:]] @ pelvis.T
+        hips = body.hips + _lacking(body.hips + legs, body.ends[2:], self._lengths[-1].sum())
         joints[0], turns[0] = hips, pelvis
         joints[1] = hips + pelvis @ build.waist
-        toward = unit(seen.chest - joints[1])
-        turns[1] = _upright(toward, pelvis[:, 0] + chest[:, 0])
-        joints[2], turns[2] = joints[1] + build.spine * toward, chest
+        spine = unit(seen.chest - joints[1])
+        joints[2], turns[2] = joints[1] + build.spine * spine, chest
         joints[3] = joints[2] + chest @ build.neck
-        toward = unit(body.skull - joints[3])
-        turns[3] = _upright(toward, chest[:, 0] + head[:, 0]) @ _NECK_TURN
-        joints[4], turns[4] = joints[3] + build.skull * toward, head
-        joints[_CLAVICLES] = joints[2] + (OUT * build.collar) @ chest.T
+        neck = unit(body.skull - joints[3])
+        joints[4], turns[4] = joints[3] + build.skull * neck, head
+        rights = body.axes[:2, :, 0] + body.axes[1:, :, 0]
+        turns[1:4:2] = _upright(np.array([spine, neck]), rights) @ _TO_UPRIGHT
+        clavicles = joints[2] + rest[_CLAVICLES] @ chest.T
         length = length_of(build.clavicle)
-        toward = unit(seen.shoulders - joints[_CLAVICLES])
-        usual = (OUT * build.clavicle) @ chest.T / length
+        toward = unit(seen.shoulders - clavicles)
+        usual = rest[_UPPER[:2]] @ chest.T / length
         columns = carried(chest.T, usual[:, None], toward[:, None])
         turns[_CLAVICLES] = np.swapaxes(columns, 1, 2)
-        joints[_UPPER[:2]] = joints[_CLAVICLES] + length * toward
+        joints[_CLAVICLES] = clavicles
+        joints[_UPPER[:2]] = clavicles + length * toward
         joints[_UPPER[2:]] = hips + legs
 
     def _posture(self, joints: Array, turns: Array, pose: Pose) -> Posture:
-        local = turns.copy()
-        local[1:] = np.swapaxes(turns[PARENTS[1:]], 1, 2) @ turns[1:]
-        rotations = quaternions(np.array([turns, local])).astype(np.float32)
+        both = np.array([turns, turns])
+        both[1, 1:] = turns[_PARENTS].transpose(0, 2, 1) @ turns[1:]
+        rotations = quaternions(both).astype(np.float32)
         return Posture(
             joints=joints.astype(np.float32),
             rotations=rotations[0],
             local=rotations[1],
             sigma=self._sigma(pose.sigma),
-            rest=self._rest,
+            rest=self._shown_rest,
         )
 
     def _sigma(self, sigma: Floats) -> Floats:
@@ -144,6 +152,8 @@ def _lacking(roots: Array, ends: Array, length: float) -> Array:
         way = ends - roots - moved
         distance = length_of(way)
         over = np.maximum(distance - REACH * length, 0.0)
+        if not over.any():
+            break
         share = over / np.maximum(distance, 1e-9)
         moved = moved + share @ way / max(1, int(np.count_nonzero(over)))
     return moved
@@ -151,10 +161,10 @@ def _lacking(roots: Array, ends: Array, length: float) -> Array:
 
 def _turn_hands(joints: Array, turns: Array, seen: Landmarks) -> None:
     """Forearms and hands are turned by the wrist's two markers, palms down in the rest pose."""
-    toward = unit(joints[_ENDS[:2]] - joints[_LOWER[:2]])
-    turns[_LOWER[:2]] = oriented(toward, unit(cross(seen.thumbs, toward)))
-    toward = unit(seen.fingers - seen.wrists)
-    turns[_ENDS[:2]] = oriented(toward, unit(cross(seen.thumbs, toward)))
+    forearms = joints[_ENDS[:2]] - joints[_LOWER[:2]]
+    along = unit(np.array([forearms, seen.fingers - seen.wrists]))
+    hinges = unit(cross(np.array([seen.thumbs, seen.thumbs]), along))
+    turns[_LOWER[:2]], turns[_ENDS[:2]] = map(oriented, along, hinges)
 
 
 def _turn_feet(turns: Array, seen: Landmarks) -> None:
@@ -169,7 +179,7 @@ def _turn_feet(turns: Array, seen: Landmarks) -> None:
     turns[_ENDS[2:]] = columns.transpose(1, 2, 0) @ _FOOT_TURN
 
 
-def rest_pose(build: Proportions) -> Floats:
+def rest_pose(build: Proportions) -> Array:
     """(B, 3): each joint from its parent's in the rest pose, metres; the hips' from the floor."""
     rest = np.zeros((len(BONES), 3))
     rest[0] = (build.limbs[1].sum() + _SOLE) * UP
@@ -182,16 +192,17 @@ def rest_pose(build: Proportions) -> Floats:
     lengths = np.repeat(build.limbs, 2, axis=0)
     rest[_LOWER] = lengths[:, :1] * ALONG
     rest[_ENDS] = lengths[:, 1:] * ALONG
-    return rest.astype(np.float32)
+    return rest
 
 
 def _upright(up: Array, right: Array) -> Array:
-    """(3, 3): the rotation whose z is `up` and whose x is near `right`."""
-    x = unit(right - (right @ up) * up)
-    return np.array([x, cross(up, x), up]).T
+    """(n, 3, 3): the rotations whose z is `up` (n, 3) and whose x is near `right` (n, 3)."""
+    x = unit(right - dot(right, up) * up)
+    return np.array([x, cross(up, x), up]).transpose(1, 2, 0)
 
 
-_NECK_TURN = lowered(-_NECK[1:2])[0]
+# What brings spine and neck from where they point in the rest pose to upright.
+_TO_UPRIGHT = np.array([np.eye(3), lowered(-_NECK[1:2])[0]])
 _FOOT_TURN = lowered(np.array([_FEET]))[0]
 
 # The markers that tell how a bone is turned, without their side.
