@@ -14,8 +14,9 @@ from rich.text import Text
 
 from bridge.session import Status
 from bridge.statistics import Ages, MarkerStatus
-from bridge.troubles import LOST, short, troubles
+from bridge.troubles import LOST, troubles
 from bridge.watch import HARMLESS
+from drivers.url import short
 
 WORST_RMS = 200.0  # mm at the end of the bar
 WIDE, TALL = 110, 30  # from which the markers have a table of their own

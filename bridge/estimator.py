@@ -147,9 +147,7 @@ class PoseEstimator:
 
     def _adopt(self, layout: Layout) -> None:
         """Finds the tracked markers by label."""
-        rows = {label: row for row, label in enumerate(layout.labels)}
-        self._carried = np.array([label in rows for label in self._tracked])
-        self._columns = np.array([rows[label] for label in self._tracked if label in rows], int)
+        self._carried, self._columns = layout.places(self._tracked)
         if self._layout is None or layout.rate != self._layout.rate:
             self.regression.reset(layout.rate)
         self._layout = layout

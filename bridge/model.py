@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from bridge.body_frame import CONSTRUCTIONS, PAPER_FRAME
+from bridge.humanoid.proportions import COUNT
 from drivers.errors import MarkerbridgeError
 from drivers.frame import Floats
 
@@ -35,7 +36,6 @@ os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 import onnxruntime
 
 FORMAT = 2
-PROPORTIONS = 24  # numbers
 MAX_HISTORY = 240  # frames of 1/120 s
 METADATA_KEY = "markerbridge"
 DEFAULT = "default"
@@ -117,7 +117,7 @@ class ModelInfo:
             "sensitivity": (3 * len(info.unworn), 3 * len(info.features)),
         }
         if info.proportions is not None:
-            shapes["proportions"] = (PROPORTIONS,)
+            shapes["proportions"] = (COUNT,)
         for name, shape in shapes.items():
             if np.shape(getattr(info, name)) != shape:
                 raise ValueError(f"{name} is not of shape {shape}")

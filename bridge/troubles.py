@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 from bridge.session import Status
+from drivers.url import short
 
 LOST = 1.0  # s without a frame and without a line that are trouble; what was seen is not of now
 SILENT = 3.0  # s without a frame that are trouble
@@ -80,8 +81,3 @@ def _sinks(status: Status, before: Status | None) -> Iterator[Trouble]:
         elif (dropped := sink["dropped"] - earlier.get("dropped", 0)) > 0:
             words = f"{short(name)} does not keep up: {dropped:,} poses were dropped"
             yield Trouble("sink slow", words, False)
-
-
-def short(address: str) -> str:
-    """An address without its options, which may be long."""
-    return address.partition("?")[0]

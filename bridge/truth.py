@@ -26,12 +26,7 @@ class Truth:
             frame = self.source.read(0.0)
             if frame is None:
                 return
-            rows = {label: row for row, label in enumerate(frame.layout.labels)}
-            pose: Floats = np.full((len(self._labels), 3), np.nan, np.float32)
-            for at, label in enumerate(self._labels):
-                if label in rows:
-                    pose[at] = frame.xyz[rows[label]]
-            self._poses[frame.index] = pose
+            self._poses[frame.index] = frame.ordered(self._labels)
             if len(self._poses) > KEPT:
                 self._poses.popitem(last=False)
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from bridge.humanoid.rotations import Array, matrices
+from bridge.humanoid.rotations import Array, dot, matrices, unit
 from bridge.humanoid.skeleton import BONES, PARENTS, Posture
 from drivers.frame import Floats
 
@@ -194,10 +194,8 @@ class _Hips:
 
 def _blended(start: Array, end: Array, share: Array) -> Array:
     """Unit quaternions (..., 4) a share of the way to others, the shorter way round."""
-    same = np.einsum("...i,...i->...", start, end)[..., None] >= 0
-    found = start + share * (np.where(same, end, -end) - start)
-    unit: Array = found / np.sqrt(np.einsum("...i,...i->...", found, found))[..., None]
-    return unit
+    same = dot(start, end) >= 0
+    return unit(start + share * (np.where(same, end, -end) - start))
 
 
 def _product(first: Array, second: Array) -> Array:

@@ -10,6 +10,7 @@ from typing import Any
 
 from bridge.repeating import repeating
 from bridge.session import Status
+from drivers.url import short
 
 LOOK = 0.25  # s between looks at the counters
 LOG_EVERY = 10.0  # s between sums of what went wrong
@@ -38,7 +39,7 @@ class Watch:
     """
 
     def __init__(self, source: str, every: float = LOG_EVERY) -> None:
-        self._source, self._every = _short(source), every
+        self._source, self._every = short(source), every
         self._sums: dict[str, dict[str, int]] = {}  # counters at the last sum, by name
         self._summed = 0.0  # when the last sum was made
         self._connection = _Connection(source, every)
@@ -74,7 +75,7 @@ class _Connection:
     """Whether a source is there and sends, told when that changes."""
 
     def __init__(self, source: str, every: float) -> None:
-        self._source, self._most = _short(source), every
+        self._source, self._most = short(source), every
         self._address = source
         self._told = ""  # what the last line said is wrong: "lost", "silent" or nothing
         self._since = 0.0  # since when
@@ -177,11 +178,6 @@ def watching(source: str, status: Callable[[], Status], every: float = LOG_EVERY
     watch = Watch(source, every)
     with repeating(lambda: watch.look(status()), LOOK, "watch"):
         yield
-
-
-def _short(address: str) -> str:
-    """An address without its options, which may be long."""
-    return address.partition("?")[0]
 
 
 def _growth(before: Mapping[str, int], now: Mapping[str, int]) -> dict[str, int]:

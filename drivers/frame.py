@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
@@ -22,6 +22,7 @@ from drivers.errors import MarkerbridgeError
 LATE = 100  # inputs without a frame that `read` takes in past its deadline
 
 Floats = npt.NDArray[np.float32]
+Rows = npt.NDArray[np.intp]
 
 
 FARTHEST = 10_000.0  # m: no marker is farther away; larger numbers are a broken sender's
@@ -50,6 +51,13 @@ class Layout:
         if not (0 < self.rate < 1e6):
             raise ValueError(f"rate {self.rate} Hz is not between 0 and 1,000,000")
 
+    def places(self, labels: Sequence[str]) -> tuple[Rows, Rows]:
+        """Of the `labels` that are here: their rows among those, and their rows here."""
+        own = {label: row for row, label in enumerate(self.labels)}
+        pairs = [(row, own[label]) for row, label in enumerate(labels) if label in own]
+        both = np.array(pairs, np.intp).reshape(-1, 2)
+        return both[:, 0], both[:, 1]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MarkerFrame:
@@ -67,6 +75,13 @@ class MarkerFrame:
     layout: Layout
     xyz: Floats
     t_mapped: float = math.nan
+
+    def ordered(self, labels: Sequence[str]) -> Floats:
+        """The markers (M, 3) of `labels`, in their order; NaN where there is none."""
+        rows, own = self.layout.places(labels)
+        xyz: Floats = np.full((len(labels), 3), np.nan, np.float32)
+        xyz[rows] = self.xyz[own]
+        return xyz
 
 
 class Source(ABC):

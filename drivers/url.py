@@ -121,3 +121,8 @@ class Url:
                 unknown[0],
                 f"unknown key {known}",
             )
+
+
+def short(address: str) -> str:
+    """An address without its options, which may be long."""
+    return address.partition("?")[0]

@@ -69,13 +69,7 @@ class Heard:
         found: Floats = np.full((len(self.frames), len(self.labels), 3), np.nan, np.float32)
         newest = self.frames[-1].layout if self.frames else None
         for n, frame in enumerate(self.frames):
-            if frame.layout is newest:
-                found[n] = frame.xyz
-                continue
-            rows = {label: row for row, label in enumerate(frame.layout.labels)}
-            for column, label in enumerate(self.labels):
-                if label in rows:
-                    found[n, column] = frame.xyz[rows[label]]
+            found[n] = frame.xyz if frame.layout is newest else frame.ordered(self.labels)
         return found
 
 

@@ -17,9 +17,8 @@ BENDS = np.array([[0, -1, 0], [0, -1, 0], [0, 1, 0], [0, 1, 0]], float)
 _OUTSIDE = np.array([[1], [-1], [-1], [1]], float)
 _REST_AXES = np.stack([ALONG, BENDS, cross(ALONG, BENDS)], axis=1)  # rows
 
-_HALF_WIDTH = np.array(
-    [[0.042], [0.042], [0.056], [0.056]]
-)  # m: from the middle joint to its marker
+# m: from the middle joint to its marker.
+_HALF_WIDTH = np.array([[0.042], [0.042], [0.056], [0.056]])
 _STRAIGHT = 0.04  # m: a joint nearer its limb's line tells less of the plane than the trunk does
 # Cosine of how far the plane may turn from what is natural: a knee never points backwards, while
 # an upper arm turns about itself by more than a right angle.

@@ -57,6 +57,7 @@ USUAL = (
     (0.142, -0.067, -0.017),
     (0.05, -0.1, 0.33),
 )
+COUNT = sum(map(len, USUAL))
 
 
 class Measuring:

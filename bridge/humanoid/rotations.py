@@ -69,15 +69,3 @@ def matrices(turns: Array) -> Array:
     twice = 2.0 * cross(axis, basis)
     # The rows are what each axis of the basis becomes.
     return np.swapaxes(basis + w * twice + cross(axis, twice), -1, -2)
-
-
-def between(start: Array, end: Array, share: float) -> Array:
-    """Unit quaternions a `share` of the way from one to another, the shorter way round."""
-    closeness = dot(start, end)
-    end = np.where(closeness < 0, -end, end)
-    angle = np.arccos(np.clip(np.abs(closeness), 0.0, 1.0))
-    near = angle < 1e-4
-    sine = np.where(near, 1.0, np.sin(angle))
-    a = np.where(near, 1.0 - share, np.sin((1.0 - share) * angle) / sine)
-    b = np.where(near, share, np.sin(share * angle) / sine)
-    return unit(a * start + b * end)

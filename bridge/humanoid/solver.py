@@ -76,8 +76,8 @@ class HumanoidSolver:
         joints[_LOWER], joints[_ENDS], turns[_UPPER], turns[_LOWER] = placed(
             joints[_UPPER], body.ends, body.bends, self._lengths
         )
-        _turn_hands(joints, turns, body.seen)
-        _turn_feet(turns, body.seen)
+        _turn_hands(joints, turns, seen)
+        _turn_feet(turns, seen)
         return self._posture(joints, turns, pose)
 
     def _adopt_build(self) -> None:

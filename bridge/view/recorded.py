@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from bridge.estimator import PoseEstimator
 from bridge.model import Model, ModelInfo
@@ -17,7 +16,7 @@ from bridge.view.player import Moment
 from bridge.view.scene import Worn
 from drivers.clock import VirtualClock
 from drivers.errors import UsageError
-from drivers.frame import Floats, Layout, MarkerFrame, SourceError
+from drivers.frame import Floats, SourceError
 from drivers.log_source import TRUTH, play_log
 from drivers.registry import open_source
 from drivers.session_log import SessionLog
@@ -103,7 +102,7 @@ def _logged(log: SessionLog, info: ModelInfo) -> Iterator[Moment]:
     clock = VirtualClock()
     truth = _truth(log, info, clock)
     for logged in log.poses():
-        rows, columns = _places(logged.layout, info)
+        rows, columns = logged.layout.places(info.labels)
         count = len(info.labels)
         xyz: Floats = np.full((count, 3), np.nan, np.float32)
         provenance = np.full(count, Provenance.LOST, np.uint8)
@@ -132,14 +131,14 @@ def _estimated(url: Url, model: Model) -> Iterator[Moment]:
             if log:
                 yield Moment(pose, _true(truth, clock, frame.index, frame.t))
             else:
-                yield Moment(pose, _mapped(frame, model.info))
+                yield Moment(pose, frame.ordered(model.info.labels))
 
 
 def _measured(url: Url, info: ModelInfo) -> Iterator[Moment]:
     """The frames of a capture: what is there is measured, what is not is lost."""
     with open_source(url.text, VirtualClock()) as source:
         for frame in source:
-            xyz = _mapped(frame, info)
+            xyz = frame.ordered(info.labels)
             lost = np.isnan(xyz[:, 0])
             if frame.index == 0 and not set(frame.layout.labels) & set(info.labels):
                 raise SourceError(
@@ -149,22 +148,6 @@ def _measured(url: Url, info: ModelInfo) -> Iterator[Moment]:
             provenance = np.where(lost, Provenance.LOST, Provenance.MEASURED).astype(np.uint8)
             sigma = np.where(lost, np.inf, 0.0).astype(np.float32)
             yield Moment(Pose(frame.index, frame.t, xyz, provenance, sigma), None)
-
-
-def _mapped(frame: MarkerFrame, info: ModelInfo) -> Floats:
-    """A frame's markers (M, 3) in the model's order, NaN where it has none."""
-    rows, columns = _places(frame.layout, info)
-    xyz: Floats = np.full((len(info.labels), 3), np.nan, np.float32)
-    xyz[rows] = frame.xyz[columns]
-    return xyz
-
-
-def _places(layout: Layout, info: ModelInfo) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Which of the model's rows are which of a layout's."""
-    own = {label: row for row, label in enumerate(layout.labels)}
-    pairs = [(row, own[label]) for row, label in enumerate(info.labels) if label in own]
-    both = np.array(pairs, np.intp).reshape(-1, 2)
-    return both[:, 0], both[:, 1]
 
 
 def _truth(log: SessionLog, info: ModelInfo, clock: VirtualClock) -> Truth | None:

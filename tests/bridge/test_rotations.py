@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridge.humanoid.rotations import between, carried, cross, matrices, quaternions, unit
+from bridge.humanoid.rotations import carried, cross, matrices, quaternions, unit
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -52,13 +52,3 @@ def test_what_is_carried_turns_by_the_shortest_way(seed: int) -> None:
     axis = cross(start, end)
     np.testing.assert_allclose(carried(axis, start, end), axis, atol=1e-9)
     np.testing.assert_allclose(np.linalg.norm(carried(other, start, end), axis=1), 1.0)
-
-
-@given(seeds, st.floats(0, 1))
-def test_between_goes_evenly_the_shorter_way(seed: int, share: float) -> None:
-    start, end = some_quaternions(seed).reshape(2, -1, 4)
-    whole = 2 * np.arccos(np.clip(np.abs((start * end).sum(axis=1)), 0, 1))
-    for end_or_opposite in (end, -end):
-        found = between(start, end_or_opposite, share)
-        part = 2 * np.arccos(np.clip(np.abs((start * found).sum(axis=1)), 0, 1))
-        np.testing.assert_allclose(part, share * whole, atol=1e-6)
