@@ -1,0 +1,38 @@
+"""Functions that numba compiles to machine code, for what runs with every frame.
+
+They are compiled when their module is imported, for the types that they name, and kept beside it
+(`__pycache__`) or in the user's cache, so that this takes seconds once and milliseconds after that.
+Rules for them are in docs/decisions/0028.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar, cast
+
+from numba import njit
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+log = logging.getLogger(__name__)
+
+
+def compiled(signature: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Compiles a function for arguments of these types alone; others raise TypeError.
+
+    signature: as numba has it, for example `f8(f4[:,::1], f8)`: a C-contiguous (N, M) array of
+    float32 and a float64, from which it makes a float64. Division by zero gives inf or NaN, as
+    numpy's does; indices are not checked.
+    """
+
+    def compile_it(function: Callable[P, R]) -> Callable[P, R]:
+        try:
+            made = njit(signature, cache=True, error_model="numpy")(function)
+        except (RuntimeError, OSError) as error:  # nowhere to keep it: no home, or a full disk
+            log.info("%s is compiled anew at each start: %s", function.__qualname__, error)
+            made = njit(signature, error_model="numpy")(function)
+        return cast(Callable[P, R], made)
+
+    return compile_it
