@@ -12,9 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from bridge.compiled import compiled
 from drivers.frame import Floats
 
 Array = npt.NDArray[np.float64]
+Rows = npt.NDArray[np.intp]
 
 _AXIS = ("LSHO", "RSHO")
 
@@ -63,7 +65,8 @@ class BodyFrame:
 
     labels: the T tracked markers, in the order of the rows given to `update`. mean: (T, 3) metres,
     their mean positions in the body frame, the configuration before any is known. spread: (T,)
-    metres, their standard deviations there; ones where not known.
+    metres, their standard deviations there; ones where not known. placement: (4,) where the body
+    is: its origin in metres, and its yaw. origins: rows of the markers whose middle the origin is.
     """
 
     def __init__(
@@ -73,107 +76,61 @@ class BodyFrame:
         spread: npt.ArrayLike | None = None,
         construction: Construction = PAPER_FRAME,
     ) -> None:
-        self._origin = [labels.index(name) for name in construction.origin]
-        self._left, self._right = (labels.index(name) for name in construction.axis)
+        self.origins = np.array([labels.index(name) for name in construction.origin])
+        self._axis = np.array([labels.index(name) for name in construction.axis])
         self._mean = np.zeros((len(labels), 3)) if mean is None else np.array(mean, float)
         deviation = np.ones(len(labels)) if spread is None else np.array(spread, float)
         self._weights = 1.0 / (deviation**2 + FLOOR**2)
+        self._points = np.empty((len(labels), 3))
         self.reset()
 
     def reset(self) -> None:
         """Forgets all: a new performer or sequence."""
         self.known = False  # True once any marker was there
-        self.origin = np.zeros(3)
-        self.yaw = 0.0
-        self.rotation = np.eye(3)  # columns: the body's axes in the world
-        self._to_world = np.eye(3, dtype=np.float32)  # a row vector times this is in the world's
+        self.placement = np.zeros(4)
         self.sigma = 0.0  # m, standard deviation of the origin per coordinate; 0 where exact
         self._configuration = self._mean.copy()
 
-    def update(self, xyz: Floats) -> None:
+    @property
+    def origin(self) -> Array:
+        """(3,) metres."""
+        return self.placement[:3].copy()
+
+    @property
+    def yaw(self) -> float:
+        """Radians about z."""
+        return float(self.placement[3])
+
+    @property
+    def rotation(self) -> Array:
+        """(3, 3): its columns are the body's axes in the world."""
+        cos, sin = math.cos(self.yaw), math.sin(self.yaw)
+        return np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+
+    def update(self, xyz: npt.NDArray[np.floating]) -> None:
         """Follows the body to the tracked markers `xyz`, (T, 3) metres, world, NaN missing."""
         self.place(xyz)
         self.learn(xyz)
 
-    def place(self, xyz: Floats) -> None:
-        """Puts the frame where the markers say, as `update` does, without learning from them how
+    def place(self, xyz: npt.NDArray[np.floating]) -> None:
+        """As `update`, but what the markers look like now is not learned as the configuration that
         the body is now: for what might have been seen. May be called many times.
         """
-        points = xyz.astype(float)
-        origin, yaw = self._middle(points), self._shoulder_yaw(points)
-        if origin is None or yaw is None:
-            present = ~np.isnan(points[:, 0])
-            if not present.any():
-                self.sigma = math.inf
-                return
-            if yaw is None:
-                yaw = self._fitted_yaw(points, present, origin)
-        if yaw != self.yaw or not self.known:
-            self._turn(yaw)
-        if origin is not None:
-            self.origin = origin
-            self.sigma = 0.0
-        else:
-            weights = self._weights[present]
-            offsets = points[present] - self._configuration[present] @ self.rotation.T
-            self.origin = weights @ offsets / weights.sum()
-            self.sigma = float(weights.sum() ** -0.5)
-        self.known = True
+        self._points[:] = xyz
+        self.sigma = _place(
+            *(self._points, self.origins, self._axis, self._weights, self._configuration),
+            *(self.known, self.placement),
+        )
+        self.known = self.known or self.sigma < math.inf
 
-    def learn(self, xyz: Floats) -> None:
+    def learn(self, xyz: npt.NDArray[np.floating]) -> None:
         """Takes the markers, where they tell origin and yaw exactly, as the configuration known."""
-        present = ~np.isnan(xyz[:, 0])
-        if present.all():
-            self._configuration = (xyz - self.origin) @ self.rotation
-        elif present[[*self._origin, self._left, self._right]].all():
-            self._configuration[present] = (xyz[present] - self.origin) @ self.rotation
-
-    def _middle(self, points: Array) -> Array | None:
-        """The origin; None where one of its markers is missing."""
-        middle = self.at_origin(points)
-        return None if math.isnan(middle[0]) else middle
-
-    def _turn(self, yaw: float) -> None:
-        self.yaw = yaw
-        cos, sin = math.cos(yaw), math.sin(yaw)
-        self.rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-        self._to_world = self.rotation.T.astype(np.float32)
-
-    def _shoulder_yaw(self, points: Array) -> float | None:
-        """The yaw of the shoulder line; None where a shoulder is missing or the line too steep."""
-        dx, dy, dz = (points[self._right] - points[self._left]).tolist()
-        across = math.hypot(dx, dy)
-        # A NaN compares false.
-        if across > 0.0 and across >= MIN_PROJECTION * math.hypot(across, dz):
-            return math.atan2(dy, dx)
-        return None
-
-    def _fitted_yaw(
-        self, points: Array, present: npt.NDArray[np.bool_], origin: Array | None
-    ) -> float:
-        """The yaw that best turns the last configuration onto the markers present."""
-        if present[self._left] and present[self._right] and self.known:
-            return self.yaw  # the shoulder line is too steep
-        weights = self._weights[present]
-        now, before = points[present, :2], self._configuration[present, :2]
-        if origin is not None:
-            middle = self._configuration[self._origin, :2].mean(axis=0)
-            now, before = now - origin[:2], before - middle
-        else:
-            now = now - weights @ now / weights.sum()
-            before = before - weights @ before / weights.sum()
-        if weights @ (before**2).sum(axis=1) / weights.sum() < MIN_SPREAD**2:
-            return self.yaw
-        dot = weights @ (before * now).sum(axis=1)
-        cross = weights @ (before[:, 0] * now[:, 1] - before[:, 1] * now[:, 0])
-        return math.atan2(cross, dot)
+        self._points[:] = xyz
+        _learn(self._points, self.origins, self._axis, self.placement, self._configuration)
 
     def at_origin(self, values: npt.NDArray[np.floating]) -> Array:
         """(3,): of values of the tracked markers (T, 3), that of the origin."""
-        if len(self._origin) == 1:
-            origin: Array = values[self._origin[0]]
-        else:
-            origin = values[self._origin].mean(axis=0)
+        origin: Array = values[self.origins].mean(axis=0)
         return origin
 
     def to_body(self, xyz: npt.NDArray[np.floating]) -> Floats:
@@ -182,4 +139,113 @@ class BodyFrame:
 
     def to_world(self, xyz: Floats) -> Floats:
         """Body frame to world, (..., 3) metres."""
-        return (xyz @ self._to_world + self.origin).astype(np.float32)
+        return (xyz @ self.rotation.T + self.origin).astype(np.float32)
+
+
+@compiled("void(f8[:,::1], i8[::1], f8[::1], b1, f8[::1], f8[:,::1], f8[::1])")
+def _fit_yaw(
+    points: Array,
+    origins: Rows,
+    middle: Array,
+    exact: bool,
+    weights: Array,
+    configuration: Array,
+    placement: Array,
+) -> None:
+    """The yaw that best turns the last configuration onto the markers present, about the origin
+    where that is exact, else about their mean; as before where they are too near to it.
+    """
+    total = 0.0
+    now, before = np.zeros(2), np.zeros(2)  # the middles that are turned about
+    for row in range(len(points)):
+        if not math.isnan(points[row, 0]):
+            total += weights[row]
+            now += weights[row] * points[row, :2]
+            before += weights[row] * configuration[row, :2]
+    if total == 0.0:
+        return
+    now /= total
+    before /= total
+    if exact:
+        now[:] = middle[:2]
+        before[:] = 0.0
+        for row in origins:
+            before += configuration[row, :2] / len(origins)
+    spread = dot = cross = 0.0
+    for row in range(len(points)):
+        if math.isnan(points[row, 0]):
+            continue
+        weight = weights[row]
+        x, y = points[row, 0] - now[0], points[row, 1] - now[1]
+        x0, y0 = configuration[row, 0] - before[0], configuration[row, 1] - before[1]
+        spread += weight * (x0 * x0 + y0 * y0)
+        dot += weight * (x0 * x + y0 * y)
+        cross += weight * (x0 * y - y0 * x)
+    if spread / total >= MIN_SPREAD**2:
+        placement[3] = math.atan2(cross, dot)
+
+
+@compiled("f8(f8[:,::1], i8[::1], i8[::1], f8[::1], f8[:,::1], b1, f8[::1])")
+def _place(
+    points: Array,
+    origins: Rows,
+    axis: Rows,
+    weights: Array,
+    configuration: Array,
+    known: bool,
+    placement: Array,
+) -> float:
+    """Sets the placement as the points (T, 3) have it; returns the sigma of the origin, infinite
+    where no marker is there.
+    """
+    middle = np.zeros(3)
+    for row in origins:
+        middle += points[row] / len(origins)
+    exact = not math.isnan(middle[0])
+    left, right = points[axis[0]], points[axis[1]]
+    # The yaw of the shoulder line, where it is not too steep. A NaN compares false.
+    dx, dy, dz = right[0] - left[0], right[1] - left[1], right[2] - left[2]
+    across = math.hypot(dx, dy)
+    if across > 0.0 and across >= MIN_PROJECTION * math.hypot(across, dz):
+        placement[3] = math.atan2(dy, dx)
+    elif not (known and across >= 0.0):  # a line that is too steep says: as before
+        _fit_yaw(points, origins, middle, exact, weights, configuration, placement)
+    if exact:
+        placement[:3] = middle
+        return 0.0
+    # Where the markers that are there have the origin, in the mean.
+    cos, sin = math.cos(placement[3]), math.sin(placement[3])
+    total, mean = 0.0, np.zeros(3)
+    for row in range(len(points)):
+        if math.isnan(points[row, 0]):
+            continue
+        x, y, z = configuration[row]
+        weight = weights[row]
+        total += weight
+        mean[0] += weight * (points[row, 0] - (cos * x - sin * y))
+        mean[1] += weight * (points[row, 1] - (sin * x + cos * y))
+        mean[2] += weight * (points[row, 2] - z)
+    if total == 0.0:
+        return math.inf
+    placement[:3] = mean / total
+    return 1.0 / math.sqrt(total)
+
+
+@compiled("void(f8[:,::1], i8[::1], i8[::1], f8[::1], f8[:,::1])")
+def _learn(
+    points: Array, origins: Rows, axis: Rows, placement: Array, configuration: Array
+) -> None:
+    """Takes over what is there, where all that makes the frame is."""
+    for row in origins:
+        if math.isnan(points[row, 0]):
+            return
+    for row in axis:
+        if math.isnan(points[row, 0]):
+            return
+    cos, sin = math.cos(placement[3]), math.sin(placement[3])
+    for row in range(len(points)):
+        if not math.isnan(points[row, 0]):
+            x, y = points[row, 0] - placement[0], points[row, 1] - placement[1]
+            configuration[row, 0] = cos * x + sin * y
+            configuration[row, 1] = cos * y - sin * x
+            configuration[row, 2] = points[row, 2] - placement[2]

@@ -8,16 +8,18 @@ import numpy as np
 import numpy.typing as npt
 
 from bridge.body_frame import CONSTRUCTIONS, BodyFrame
+from bridge.compiled import compiled
 from bridge.imputation import Imputation
 from bridge.imputer import NEAR, Imputer
 from bridge.model import Model, ModelInfo
 from bridge.pose import Pose, Provenance
-from bridge.regression import features_of, regression_of
+from bridge.regression import Estimate, features_of, regression_of
 from bridge.smoothing import NoiseFilter
 from drivers.frame import Floats, Layout, MarkerFrame
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+Rows = npt.NDArray[np.intp]
 
 NOISE = 0.001  # m: standard deviation of a measured coordinate
 ENOUGH = 3  # tracked markers without which nobody can say where the body is and faces
@@ -66,7 +68,8 @@ class PoseEstimator:
     history: frames of 1/120 s before the present one that a mixture weighs in; the model's own
     where not given. imputation: what fills in missing markers, in place of all that the model and
     this class do about them; to compare with. regression: the model's, with what it keeps of the
-    past.
+    past. asked: between `begin` and `finish`, what it is to be asked: the tracked markers (T, 3)
+    in the body frame and their velocities (T, 3).
     """
 
     def __init__(
@@ -76,24 +79,27 @@ class PoseEstimator:
         imputation: Imputation | None = None,
     ) -> None:
         info = model.info
+        tracked, markers = len(info.tracked), len(info.labels)
         self.model = model
         self.history = model.info.history if history is None else history
         self.regression = regression_of(model, self.history)
-        self._tracked = info.tracked
+        x: Floats = np.zeros((tracked, 3), np.float32)
+        self.asked = x, np.zeros_like(x)
         self._features = features_of(info)
         self._rows = np.array([info.labels.index(label) for label in info.tracked])
         self._body = body_frame(info)
-        self._filter = NoiseFilter(len(info.tracked))
-        usual = np.zeros((len(info.tracked), 3))
+        self._filter = NoiseFilter(tracked)
+        usual = np.zeros((tracked, 3))
         usual[self._features] = info.mean
         self._imputer = Imputer(self.regression, self._body, usual)
         self._influence = influence(info)
         self._imputation = imputation
-        self._nowhere: Floats = np.full((len(info.labels), 3), np.nan, np.float32)
+        self._markers = np.zeros_like(x)  # the tracked ones as they came
+        self._carried = np.zeros(3)  # m: how the body's origin moved
+        self._nowhere: Floats = np.full((markers, 3), np.nan, np.float32)
         # Where all tracked markers are measured.
-        self._measured = np.full(len(info.labels), Provenance.ESTIMATED, np.uint8)
+        self._measured = np.full(markers, Provenance.ESTIMATED, np.uint8)
         self._measured[self._rows] = Provenance.MEASURED
-        self._layout: Layout | None = None
         self.reset()
 
     def reset(self) -> None:
@@ -103,7 +109,7 @@ class PoseEstimator:
         self._imputer.reset()
         if self._imputation:
             self._imputation.reset()
-        self._layout = None
+        self._layout: Layout | None = None
         # The last pose, with its sigma (M,), and the pose before it, so many seconds.
         self._pose: Floats = self._nowhere
         self._sigma: Floats = np.full(len(self._nowhere), np.inf, np.float32)
@@ -111,11 +117,22 @@ class PoseEstimator:
         self._step = 1.0
         self._velocity: Floats = self._nowhere  # m/s, of the pose held
         self._shown: Floats | None = None  # the tracked markers as they were taken to be
+        self._lacking: Floats | None = None  # the sigma (T,) of those missing, if any are
+        self._back: Mask | None = None  # those (T,) that are where they are measured, if not all
         self._held = 0.0  # s since enough markers were there
         self._index: int | None = None
+        self._interval = 1.0  # s since the frame before
 
     def step(self, frame: MarkerFrame) -> Pose:
         """The pose at a frame; with too few tracked markers the last one, and soon all lost."""
+        held = self.begin(frame)
+        return held or self.finish(frame, self.regression.estimate(*self.asked))
+
+    def begin(self, frame: MarkerFrame) -> Pose | None:
+        """The first half of a step: all tracked markers, wherever they come from, as `asked`.
+
+        Where too few are there to ask anything, the pose; there is no second half then.
+        """
         frames = 1 if self._index is None else frame.index - self._index
         if not 0 < frames <= HOLD * frame.layout.rate:
             self.reset()  # the line was gone for long, or the device started anew
@@ -123,100 +140,101 @@ class PoseEstimator:
         if frame.layout is not self._layout:
             self._adopt(frame.layout)
         self._index = frame.index
-        interval = frames / frame.layout.rate  # lost frames count
-        measured: Floats = np.full((len(self._tracked), 3), np.nan, np.float32)
-        measured[self._carried] = frame.xyz[self._columns]
-        measured = self._filter.update(measured, interval)
-        present: Mask = ~np.isnan(measured[:, 0])
-        if present.sum() < ENOUGH:
-            return self._hold(frame, interval)
-        if self._imputation:
-            pose, sigma = self._filled(measured, present, interval, self._imputation)
-            back = present
+        self._interval = frames / frame.layout.rate  # lost frames count
+        self._markers[self._here] = frame.xyz[self._columns]
+        measured = self._filter.update(self._markers, self._interval)
+        if self._filter.seen < ENOUGH:
+            return self._hold(frame)
+        tracked = self._complete(measured)
+        shown = tracked if self._shown is None else self._shown
+        self._shown = tracked
+        _into_body(
+            *(tracked, shown, self._body.origins, self._body.placement, self._interval),
+            *(*self.asked, self._carried),
+        )
+        return None
+
+    def finish(self, frame: MarkerFrame, estimate: Estimate) -> Pose:
+        """The second half: the pose in the world, by what the regression says of `asked`."""
+        in_body, sigma, moving = estimate
+        begun = self._pose is not self._nowhere
+        if moving is None or not begun:
+            moving, keeps = in_body, 0.0
         else:
-            pose, sigma = self._estimate(measured, present, interval)
-            back = present & (self._imputer.away < NEAR)
+            keeps = math.exp(-self._interval / STEADY)
+        world: Floats = np.empty(in_body.shape, np.float32)
+        assert self._shown is not None
+        _into_world(
+            *(in_body, moving, self._pose, self._body.placement, self._carried),
+            *(self._interval, keeps, self._rows, self._shown, world),
+        )
+        sigma = self._doubted(sigma)
         provenance = self._measured.copy()
-        if not back.all():
-            provenance[self._rows[~back]] = Provenance.IMPUTED
+        if self._back is not None:
+            provenance[self._rows[~self._back]] = Provenance.IMPUTED
         # Where it has just begun, or begun again, nothing is known of how it moves.
-        goes_on = not self._held and self._pose is not self._nowhere
-        self._before, self._step = (self._pose, interval) if goes_on else (pose, interval)
-        self._pose, self._sigma, self._held = pose, sigma, 0.0
-        return Pose(frame.index, frame.t, pose, provenance, sigma)
+        self._before = self._pose if begun and not self._held else world
+        self._pose, self._sigma, self._step, self._held = world, sigma, self._interval, 0.0
+        return Pose(frame.index, frame.t, world, provenance, sigma)
 
     def _adopt(self, layout: Layout) -> None:
         """Finds the tracked markers by label."""
-        self._carried, self._columns = layout.places(self._tracked)
+        self._here, self._columns = layout.places(self.model.info.tracked)
+        self._markers[:] = np.nan
         if self._layout is None or layout.rate != self._layout.rate:
             self.regression.reset(layout.rate)
         self._layout = layout
 
-    def _estimate(self, measured: Floats, present: Mask, interval: float) -> tuple[Floats, Floats]:
-        """The pose (M, 3) in the world and its sigma (M,): all tracked markers first, wherever
-        they come from, then all others.
-        """
+    def _complete(self, measured: Floats) -> Floats:
+        """All tracked markers (T, 3) in the world; the body frame is where they put it."""
         imputer = self._imputer
-        if imputer.whole and present.all():
-            tracked, lacking = imputer.pass_on(measured), None
-        else:
-            tracked, lacking = imputer.complete(measured, present, self._filter.velocity, interval)
+        self._lacking = self._back = None
+        if imputer.whole and self._filter.seen == len(measured) and not self._imputation:
+            self._body.update(measured)
+            return imputer.pass_on(measured)
+        present: Mask = ~np.isnan(measured[:, 0])
+        if self._imputation:
+            self._back = present
+            return self._filled(measured, present, self._imputation)
+        tracked, self._lacking = imputer.complete(
+            measured, present, self._filter.velocity, self._interval
+        )
+        self._back = present & (imputer.away < NEAR)
         self._body.place(tracked)
         self._body.learn(measured)
-        world, sigma = self._whole(tracked, interval)
-        if lacking is not None:
-            variance = lacking.astype(float) ** 2 + imputer.away**2
-            sigma = np.sqrt(sigma**2 + self._influence @ variance).astype(np.float32)
-            sigma[self._rows] = np.sqrt(variance + NOISE**2)
-        return world, sigma
+        return tracked
 
-    def _whole(self, tracked: Floats, interval: float) -> tuple[Floats, Floats]:
-        """The pose (M, 3) in the world and its sigma (M,), as if all tracked markers (T, 3) were
-        measured. The body frame is where they put it.
-        """
-        body = self._body
-        moved = tracked - (tracked if self._shown is None else self._shown)
-        self._shown = tracked
-        carried = body.at_origin(moved)
-        velocity = (moved - carried) @ body.rotation / interval
-        pose, sigma, moving = self.regression.estimate(
-            body.to_body(tracked), velocity.astype(np.float32)
-        )
-        if moving is not None and self._pose is not self._nowhere:
-            # On from the pose before, as the body moves, and a little towards where it is said to
-            # be: how it moves is known better than where it is.
-            keeps = np.float32(math.exp(-interval / STEADY))
-            way = moving * np.float32(interval) - pose
-            kept = self._pose + (carried - body.origin).astype(np.float32)
-            world: Floats = body.to_world(pose + keeps * way) + keeps * kept
-        else:
-            world = body.to_world(pose)
-        world[self._rows] = tracked
-        sigma[self._rows] = NOISE
-        return world, sigma
+    def _doubted(self, sigma: Floats) -> Floats:
+        """The sigma (M,) of a pose, from that of one whose tracked markers are all measured."""
+        if self._lacking is None:
+            sigma = sigma.copy()
+            sigma[self._rows] = NOISE
+            return sigma
+        variance = self._lacking.astype(float) ** 2 + self._imputer.away**2
+        sigma = np.sqrt(sigma**2 + self._influence @ variance).astype(np.float32)
+        sigma[self._rows] = np.sqrt(variance + NOISE**2)
+        return sigma
 
-    def _filled(
-        self, measured: Floats, present: Mask, interval: float, imputation: Imputation
-    ) -> tuple[Floats, Floats]:
-        """The pose and its sigma with missing markers filled in by another way."""
+    def _filled(self, measured: Floats, present: Mask, imputation: Imputation) -> Floats:
+        """All tracked markers (T, 3) in the world, missing ones filled in by another way."""
         self._body.update(measured)
         tracked = self._body.to_body(measured)
         tracked[~present] = 0.0  # a lone origin is there
         tracked[self._features] = imputation.fill(
             np.where(present[:, None], tracked, np.float32(np.nan))[self._features],
             present[self._features],
-            interval,
+            self._interval,
         )
         world = self._body.to_world(tracked)
         world[present] = measured[present]
-        return self._whole(world, interval)
+        return world
 
-    def _hold(self, frame: MarkerFrame, interval: float) -> Pose:
+    def _hold(self, frame: MarkerFrame) -> Pose:
         """With too few markers the pose comes to rest and holds; after a while all of it is lost.
 
         So do markers that are there: the body stays whole.
         """
-        begun = self._pose is not self._nowhere
+        interval, begun = self._interval, self._pose is not self._nowhere
         if begun:
             if not self._held:
                 self._velocity = (self._pose - self._before) / np.float32(self._step)
@@ -234,3 +252,72 @@ class PoseEstimator:
             self._shown = pose[self._rows]
             self._imputer.hold(self._shown, self._filter.velocity, interval)
         return Pose(frame.index, frame.t, pose, provenance, sigma)
+
+
+@compiled("void(f4[:,::1], f4[:,::1], i8[::1], f8[::1], f8, f4[:,::1], f4[:,::1], f8[::1])")
+def _into_body(
+    tracked: Floats,
+    shown: Floats,
+    origins: Rows,
+    placement: Array,
+    interval: float,
+    x: Floats,
+    v: Floats,
+    carried: Array,
+) -> None:
+    """The markers (T, 3), shown elsewhere before, in the body frame, x, and their velocities
+    against its origin's, v; and how the origin was carried along.
+    """
+    carried[:] = 0.0
+    for row in origins:
+        for axis in range(3):
+            carried[axis] += (tracked[row, axis] - shown[row, axis]) / len(origins)
+    cos, sin = math.cos(placement[3]), math.sin(placement[3])
+    for row in range(len(tracked)):
+        east, north = tracked[row, 0] - placement[0], tracked[row, 1] - placement[1]
+        x[row, 0] = cos * east + sin * north
+        x[row, 1] = cos * north - sin * east
+        x[row, 2] = tracked[row, 2] - placement[2]
+        east = (tracked[row, 0] - shown[row, 0] - carried[0]) / interval
+        north = (tracked[row, 1] - shown[row, 1] - carried[1]) / interval
+        v[row, 0] = cos * east + sin * north
+        v[row, 1] = cos * north - sin * east
+        v[row, 2] = (tracked[row, 2] - shown[row, 2] - carried[2]) / interval
+
+
+@compiled(
+    "void(f4[:,:], f4[:,:], f4[:,::1], f8[::1], f8[::1], f8, f8, i8[::1], f4[:,::1], f4[:,::1])"
+)
+def _into_world(
+    in_body: Floats,
+    moving: Floats,
+    before: Floats,
+    placement: Array,
+    carried: Array,
+    interval: float,
+    keeps: float,
+    rows: Rows,
+    tracked: Floats,
+    world: Floats,
+) -> None:
+    """The pose (M, 3) as it is said to be in the body frame, but where `keeps` is more than 0 for
+    that share on from the pose before, as the body is said to move: how it moves is known better
+    than where it is. Of the tracked markers, `rows`, it is known.
+    """
+    cos, sin = math.cos(placement[3]), math.sin(placement[3])
+    for row in range(len(in_body)):
+        x, y, z = in_body[row]
+        if keeps > 0.0:
+            x += keeps * (moving[row, 0] * interval - x)
+            y += keeps * (moving[row, 1] * interval - y)
+            z += keeps * (moving[row, 2] * interval - z)
+        east, north, up = cos * x - sin * y, sin * x + cos * y, float(z)
+        if keeps > 0.0:
+            east += keeps * (before[row, 0] + carried[0] - placement[0])
+            north += keeps * (before[row, 1] + carried[1] - placement[1])
+            up += keeps * (before[row, 2] + carried[2] - placement[2])
+        world[row, 0] = east + placement[0]
+        world[row, 1] = north + placement[1]
+        world[row, 2] = up + placement[2]
+    for marker, row in enumerate(rows):
+        world[row] = tracked[marker]

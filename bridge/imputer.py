@@ -4,10 +4,13 @@ with a jump.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
 from bridge.body_frame import BodyFrame
+from bridge.compiled import compiled
 from bridge.regression import Regression, Sightings
 from drivers.frame import Floats
 
@@ -70,20 +73,15 @@ class Imputer:
         before, shown = self._present, self._shown
         moving = self._moving_on(velocity)
         self._remember(before & ~present, moving)
-        self.unseen = np.where(present, 0.0, self.unseen + interval)
-        found, sigma = self._found(measured, present)
-        changed = ~present | ~before
-        if shown is not None and (before != present).any():
-            leap: Array = shown + moving * interval - found.astype(float)
-            self._rest = np.where(changed[:, None], leap, self._rest)
-            needed = np.clip(_lengths(leap) / SPEED, 0.0, RETURN)
-            self._left = np.where(changed, needed, self._left)
-        self._approach(interval)
-        self._meant = found
-        if self.away.any():
-            found = (found + self._rest).astype(np.float32)
+        self.unseen += interval
+        self.unseen[present] = 0.0
+        self._meant, sigma = self._found(measured, present)
+        found = self._meant.copy()
         if shown is not None:
-            self._moving = (found - shown).astype(float) / interval
+            _walk(
+                *(shown, before, present, moving, interval),
+                *(self._rest, self._left, self.away, self._moving, found),
+            )
         self._shown, self._present = found, present
         self.whole = bool(present.all()) and not self.away.any()
         return found, sigma
@@ -140,15 +138,45 @@ class Imputer:
         sigma[missing] = deviation[own, missing]
         return found, sigma
 
-    def _approach(self, interval: float) -> None:
-        """What is to be walked off gets less, evenly."""
-        ahead = np.maximum(self._left - interval, 0.0)
-        kept = np.divide(ahead, self._left, out=np.zeros_like(ahead), where=self._left > 0.0)
-        self._rest = self._rest * kept[:, None]
-        self._left = ahead
-        self.away = _lengths(self._rest)
 
-
-def _lengths(vectors: Array) -> Array:
-    found: Array = np.sqrt((vectors**2).sum(axis=1))
-    return found
+@compiled(
+    "void(f4[:,::1], b1[::1], b1[::1], f8[:,::1], f8,"
+    " f8[:,::1], f8[::1], f8[::1], f8[:,::1], f4[:,::1])"
+)
+def _walk(
+    shown: Floats,
+    before: Mask,
+    present: Mask,
+    moving: Array,
+    interval: float,
+    rest: Array,
+    left: Array,
+    away: Array,
+    paces: Array,
+    found: Floats,
+) -> None:
+    """Lets the markers found (T, 3) go evenly from where they were shown before to where they are
+    said to be, wherever others are there than before; and says how they move, `paces`.
+    """
+    others = False
+    for row in range(len(found)):
+        others |= before[row] != present[row]
+    for row in range(len(found)):
+        if others and not (present[row] and before[row]):
+            square = 0.0
+            for axis in range(3):
+                leap = shown[row, axis] + moving[row, axis] * interval - found[row, axis]
+                rest[row, axis] = leap
+                square += leap * leap
+            left[row] = min(math.sqrt(square) / SPEED, RETURN)
+        # What is to be walked off gets less, evenly.
+        ahead = max(left[row] - interval, 0.0)
+        kept = ahead / left[row] if left[row] > 0.0 else 0.0
+        left[row] = ahead
+        square = 0.0
+        for axis in range(3):
+            rest[row, axis] *= kept
+            square += rest[row, axis] ** 2
+            found[row, axis] += rest[row, axis]
+            paces[row, axis] = (float(found[row, axis]) - float(shown[row, axis])) / interval
+        away[row] = math.sqrt(square)

@@ -20,6 +20,7 @@ from __future__ import annotations
 import json
 import os
 from dataclasses import asdict, dataclass, field, fields
+from functools import partial
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
@@ -175,16 +176,11 @@ class Model:
         """By networks, of one frame: all markers (M, 3), their sigma (M,) and velocities (M, 3),
         from the tracked ones (T, 3) and their velocities (T, 3).
         """
-        nothing = self._nothing
-        y = self._networks(
-            tracked.reshape(1, -1), velocity.reshape(1, -1), nothing["present"], nothing["memory"]
-        )[0]
-        markers = len(self.info.labels)
-        return (
-            y[: 3 * markers].reshape(-1, 3),
-            np.exp(y[3 * markers : 4 * markers]),
-            y[4 * markers :].reshape(-1, 3),
-        )
+        return self.bound(1).estimate(tracked[None], velocity[None])[0]
+
+    def bound(self, count: int) -> Bound:
+        """The networks, to be run on so many whole frames at a time, over and over."""
+        return Bound(self._session, self.info, count)
 
     def recall(self, tracked: Floats, present: Floats, memory: Floats) -> tuple[Floats, Floats]:
         """By networks, of n frames that lack markers: the tracked ones (n, T, 3) and their sigma
@@ -207,19 +203,59 @@ class Model:
             outputs = self.run(x, np.zeros((1, self.leaves), np.float32))
             expected = (1, 3 * len(self.info.unworn)), (1, self.leaves)
         else:
-            # What a frame that lacks nothing has for what is asked of others.
-            self._nothing = {
-                "present": np.ones((1, tracked), np.float32),
-                "memory": np.ones((1, 9 * tracked + 1), np.float32),
-            }
             still = np.zeros((1, 3 * tracked), np.float32)
-            whole = self._networks(still, still, **self._nothing)
-            nobody = np.zeros((1, tracked), np.float32)
-            outputs = whole, self._networks(still, still, nobody, self._nothing["memory"])
+            nothing = np.ones((1, 9 * tracked + 1), np.float32)
+            whole, none = (np.full((1, tracked), here, np.float32) for here in (1.0, 0.0))
+            outputs = (
+                self._networks(still, still, whole, nothing),
+                self._networks(still, still, none, nothing),
+            )
             expected = (1, 7 * markers), (1, 4 * tracked)
         given = tuple(output.shape for output in outputs)
         if given != expected:
             raise ValueError(f"the graph gives shapes {given}, not {expected}")
+
+
+class Bound:
+    """Networks that are run on n whole frames at a time. All that they read and write is made once.
+
+    Not for several threads at a time.
+    """
+
+    def __init__(self, session: onnxruntime.InferenceSession, info: ModelInfo, count: int) -> None:
+        tracked, self._markers = len(info.tracked), len(info.labels)
+        self._x = np.zeros((count, tracked, 3), np.float32)
+        self._v = np.zeros_like(self._x)
+        self._y: Floats = np.zeros((count, 7 * self._markers), np.float32)
+        # The last two: what a frame that lacks nothing has for what is asked of others.
+        inputs = {
+            "x": self._x.reshape(count, -1),
+            "v": self._v.reshape(count, -1),
+            "present": np.ones((count, tracked), np.float32),
+            "memory": np.ones((count, 9 * tracked + 1), np.float32),
+        }
+        self._kept = inputs  # the session knows where these are, and no more
+        self._run = partial(session.run_with_iobinding, self._binding(session, inputs))
+
+    def _binding(self, session: onnxruntime.InferenceSession, inputs: dict[str, Floats]) -> Any:
+        binding = session.io_binding()
+        for name, array in inputs.items():
+            binding.bind_input(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
+        binding.bind_output("y", "cpu", 0, np.float32, self._y.shape, self._y.ctypes.data)
+        return binding
+
+    def estimate(self, tracked: Floats, velocity: Floats) -> list[tuple[Floats, Floats, Floats]]:
+        """Of each frame: all markers (M, 3), their sigma (M,) and velocities (M, 3), from the
+        tracked ones (n, T, 3) and their velocities (n, T, 3); the next call overwrites them.
+        """
+        self._x[:], self._v[:] = tracked, velocity
+        self._run()
+        middle, end = 3 * self._markers, 4 * self._markers
+        sigma = np.exp(self._y[:, middle:end])
+        return [
+            (y[:middle].reshape(-1, 3), own, y[end:].reshape(-1, 3))
+            for y, own in zip(self._y, sigma, strict=True)
+        ]
 
 
 def _line(error: Exception) -> str:

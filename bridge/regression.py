@@ -19,6 +19,10 @@ from drivers.frame import Floats
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
+# The pose (M, 3) in the body frame, its standard deviation (M,) per coordinate, and how it moves
+# (M, 3), m/s, where that is known.
+Estimate = tuple[Floats, Floats, Floats | None]
+
 FADE = 0.5  # s: time constant with which a mixture forgets a last sighting (docs/decisions/0005)
 COAST = 0.1  # s: for about so long a missing marker goes on as it went
 _RATE = 120.0  # Hz: what the model's history is counted in
@@ -53,13 +57,13 @@ class Regression(Protocol):
         deviation of the body frame's origin now, metres.
         """
 
-    def estimate(self, tracked: Floats, velocity: Floats) -> tuple[Floats, Floats, Floats | None]:
-        """The pose (M, 3), its standard deviation (M,) per coordinate, metres, and how it moves
-        (M, 3), m/s, where that is known; what it says of tracked markers is of no use. The frame
-        becomes the past of those to come.
+    def estimate(self, tracked: Floats, velocity: Floats) -> Estimate:
+        """The estimate at a frame; what it says of tracked markers is of no use. The frame becomes
+        the past of those to come.
 
         tracked: (T, 3) metres, in the body frame, all there; velocity: (T, 3) m/s, theirs against
-        the origin's, in the body's axes, as all velocities here.
+        the origin's, in the body's axes, as all velocities here. The next call may overwrite what
+        this one gives.
         """
 
     def leaf(self) -> int:
@@ -81,6 +85,7 @@ class NetworkRegression:
 
     def __init__(self, model: Model) -> None:
         self._model = model
+        self._bound = model.bound(1)
 
     def reset(self, rate: float) -> None:
         """There is no past to forget."""
@@ -93,24 +98,20 @@ class NetworkRegression:
         self, tracked: Floats, present: Mask, sightings: Sightings, placed: float
     ) -> tuple[Floats, Floats]:
         """See `Regression`. The network has learned what a body frame out of place costs."""
-        count = len(sightings.age)
-        shown = np.where(present[:, None], tracked, np.float32(0.0)).reshape(1, -1)
-        parts: list[npt.NDArray[np.floating]] = [
-            sightings.then,
-            sightings.left,
-            sightings.pace,
-            sightings.age,
-        ]
-        memory = np.concatenate([part.reshape(count, -1) for part in parts], axis=1)
-        return self._model.recall(
-            np.repeat(shown, count, axis=0),
-            np.repeat(present[None].astype(np.float32), count, axis=0),
-            memory.astype(np.float32),
-        )
+        count, width = len(sightings.age), tracked.size
+        shown: Floats = np.zeros((count, *tracked.shape), np.float32)
+        shown[:, present] = tracked[present]
+        memory: Floats = np.empty((count, 3 * width + 1), np.float32)
+        for part, held in enumerate((sightings.then, sightings.left, sightings.pace)):
+            memory[:, part * width : (part + 1) * width] = held.reshape(count, width)
+        memory[:, -1] = sightings.age
+        there: Floats = np.empty((count, len(present)), np.float32)
+        there[:] = present
+        return self._model.recall(shown.reshape(count, width), there, memory)
 
-    def estimate(self, tracked: Floats, velocity: Floats) -> tuple[Floats, Floats, Floats | None]:
+    def estimate(self, tracked: Floats, velocity: Floats) -> Estimate:
         """See `Regression`."""
-        return self._model.estimate(tracked, velocity)
+        return self._bound.estimate(tracked[None], velocity[None])[0]
 
 
 class MixtureRegression:
@@ -167,7 +168,7 @@ class MixtureRegression:
         found[self._features] = self._gaussian.fill(tracked[self._features], there)
         return found
 
-    def estimate(self, tracked: Floats, velocity: Floats) -> tuple[Floats, Floats, Floats | None]:
+    def estimate(self, tracked: Floats, velocity: Floats) -> Estimate:
         """See `Regression`. Local models know nothing of velocities."""
         x = tracked[self._features].reshape(1, -1)[:, : self._model.width]
         z, p = self._model.run(x, self._weights)

@@ -15,11 +15,13 @@ nothing of a body's motion is left.
 
 from __future__ import annotations
 
+import math
 from math import comb
 
 import numpy as np
 import numpy.typing as npt
 
+from bridge.compiled import compiled
 from drivers.frame import Floats
 
 Array = npt.NDArray[np.float64]
@@ -36,16 +38,13 @@ FORGET = 0.1  # s: a marker that was away for longer starts afresh
 _STAGES = 4
 _ORDER = 6
 _WINDOW = _ORDER + 1  # samples that a difference takes
-# The difference of white noise has the variance of the noise. Row i: for a ring with its newest
-# sample at i.
+# The difference of white noise has the variance of the noise. From the oldest sample to the newest.
 _DIFFERENCE = np.array([(-1.0) ** k * comb(_ORDER, k) for k in range(_WINDOW)])
 _DIFFERENCE /= comb(2 * _ORDER, _ORDER) ** 0.5
-_DIFFERENCES = np.array([np.roll(_DIFFERENCE, newest + 1) for newest in range(_WINDOW)])
 _ROOT_MEAN = 0.8222  # mean of the square root of |n|, n standard normal: 2^(1/4) G(3/4) / sqrt(pi)
 # Variance of the bend over its three coordinates: this x variance of the noise x interval / tau
 # (the integral of w^4 / (1 + w^2)^4 over all w is pi / 16).
 _BEND_VARIANCE = 3.0 / 32.0
-_COORDINATES = np.ones(3)  # to sum over them
 
 
 class NoiseFilter:
@@ -55,23 +54,24 @@ class NoiseFilter:
     was away, the less of what was before counts when it is back, and after `FORGET` nothing does.
     Markers do not influence each other.
 
-    markers: how many, T.
+    markers: how many, T. seen: how many of them were there in the last frame.
     """
 
     def __init__(self, markers: int) -> None:
-        self._markers = markers
+        self._points = np.empty((markers, 3))
         self.reset()
 
     def reset(self) -> None:
         """Forgets all: a new performer or sequence."""
-        count = self._markers
-        self._stages = np.full((_STAGES, count, 3), np.nan)
+        count = len(self._points)
+        self._stages = np.full((count, _STAGES, 3), np.nan)
         self._memory = np.full(count, SHORTEST)  # s, tau
         self._unseen = np.full(count, np.inf)  # s since the last sighting
-        self._recent = np.full((_WINDOW, 3 * count), np.nan)  # a ring of the last samples
+        self._recent = np.full((_WINDOW, count, 3), np.nan)  # a ring of the last samples
         self._newest = 0
         self._interval = 0.0
         self._heard = 0.0  # s of listening, LISTENING at most
+        self.seen = 0
         self._root_noise = np.full(count, FIRST_NOISE**0.5)
 
     @property
@@ -88,7 +88,7 @@ class NoiseFilter:
         """
         # Slopes grow old from smoother to smoother as positions do: the line through the first
         # two, drawn on to no lag, is the least delayed.
-        first, second, third, _ = self._stages
+        first, second, third = (self._stages[:, stage] for stage in range(3))
         slope: Array = (3.0 * (first - second) - 2.0 * (second - third)) / self._memory[:, None]
         return slope
 
@@ -97,58 +97,86 @@ class NoiseFilter:
 
         interval: seconds since the frame before, more than 0; where frames were lost, theirs too.
         """
-        points = xyz.astype(float)
-        present = np.isfinite(points @ _COORDINATES)
-        whole = bool(present.all())
-        if not whole:
-            points[~present] = np.nan
-        self._listen(points, interval)
-        self._unseen += interval
-        if whole:
-            return self._follow(slice(None), points).astype(np.float32)
-        points[present] = self._follow(present, points[present])
-        return points.astype(np.float32)
-
-    def _listen(self, points: Array, interval: float) -> None:
-        """Measures the noise, by mean square roots: a knock or a stumble weighs little there."""
         # A difference needs even steps.
         if not 0.7 * self._interval < interval < 1.4 * self._interval:
             self._recent[:] = np.nan
         self._interval = interval
         self._newest = (self._newest + 1) % _WINDOW
-        self._recent[self._newest] = points.ravel()
-        left = np.abs(_DIFFERENCES[self._newest] @ self._recent).reshape(-1, 3)
         self._heard = min(self._heard + interval, max(LISTENING, interval))
-        news = np.sqrt(left) @ _COORDINATES / (3.0 * _ROOT_MEAN) - self._root_noise
-        news[np.isnan(news)] = 0.0
-        self._root_noise += interval / self._heard * news
+        self._points[:] = xyz
+        found: Floats = np.empty(self._points.shape, np.float32)
+        share = interval / self._heard
+        _listen(self._points, self._recent, self._newest, share, self._root_noise)
+        noise = self._root_noise
+        self.seen = _follow(
+            self._points, interval, noise, self._stages, self._memory, self._unseen, found
+        )
+        return found
 
-    def _follow(self, seen: slice | npt.NDArray[np.bool_], points: Array) -> Array:
-        """Takes in the markers that are seen, and returns where they are; sets their memory."""
-        stages, memory, elapsed = self._stages[:, seen], self._memory[seen], self._unseen[seen]
-        afresh = elapsed > FORGET
-        if afresh.any():
-            stages = np.where(afresh[:, None], points, stages)
-            memory = np.where(afresh, SHORTEST, memory)
-            elapsed = np.where(afresh, 0.0, elapsed)
-        share = (elapsed / (elapsed + memory))[:, None]
-        ahead = points
-        for stage in stages:
-            stage += share * (ahead - stage)
-            ahead = stage
-        _, second, third, fourth = stages
-        last = third - fourth
-        bend = second - third - last
-        position: Array = third + 3.0 * last
 
-        noise = np.maximum(self._root_noise[seen] ** 4 - FLOOR**2, 0.0)
-        explained = BEND**2 * _BEND_VARIANCE * noise * elapsed / memory
-        actual = (bend * bend) @ _COORDINATES + 1e-20
+@compiled("void(f8[:,::1], f8[:,:,::1], i8, f8, f8[::1])")
+def _listen(points: Array, recent: Array, newest: int, share: float, root_noise: Array) -> None:
+    """Measures the noise, by mean square roots: a knock or a stumble weighs little there."""
+    for marker in range(len(points)):
+        total = 0.0
+        for axis in range(3):
+            recent[newest, marker, axis] = points[marker, axis]
+            difference = 0.0
+            for age in range(_WINDOW):
+                sample = recent[(newest + 1 + age) % _WINDOW, marker, axis]
+                difference += _DIFFERENCE[age] * sample
+            total += math.sqrt(abs(difference))
+        if math.isfinite(total):
+            news = total / (3.0 * _ROOT_MEAN)
+            root_noise[marker] += share * (news - root_noise[marker])
+
+
+@compiled("i8(f8[:,::1], f8, f8[::1], f8[:,:,::1], f8[::1], f8[::1], f4[:,::1])")
+def _follow(
+    points: Array,
+    interval: float,
+    root_noise: Array,
+    stages: Array,
+    memory: Array,
+    unseen: Array,
+    found: Floats,
+) -> int:
+    """Takes in the markers that are seen, and says where they are; sets their memory. Returns how
+    many there are.
+    """
+    seen = 0
+    for marker in range(len(points)):
+        unseen[marker] += interval
+        point, smoothers = points[marker], stages[marker]
+        if not math.isfinite(point[0] + point[1] + point[2]):
+            found[marker] = np.nan
+            continue
+        seen += 1
+        elapsed, tau = unseen[marker], memory[marker]
+        unseen[marker] = 0.0
+        if elapsed > FORGET:
+            smoothers[:] = point
+            elapsed, tau = 0.0, SHORTEST
+        share = elapsed / (elapsed + tau)
+        actual = 1e-20
+        for axis in range(3):
+            ahead = point[axis]
+            for stage in range(_STAGES):
+                smoothers[stage, axis] += share * (ahead - smoothers[stage, axis])
+                ahead = smoothers[stage, axis]
+            bend = smoothers[1, axis] - 2.0 * smoothers[2, axis] + smoothers[3, axis]
+            actual += bend * bend
+        noise = max(root_noise[marker] ** 4 - FLOOR**2, 0.0)
+        explained = BEND**2 * _BEND_VARIANCE * noise * elapsed / tau
         # The square of the bend grows with tau^4, that of its noise falls with tau.
-        fitting = memory * (explained / actual) ** 0.2
-        fitting = np.minimum(fitting, np.minimum(memory + GROWTH * elapsed, LONGEST))
-        fitting = np.maximum(fitting, SHORTEST)
+        fitting = tau * (explained / actual) ** 0.2
+        fitting = max(min(fitting, tau + GROWTH * elapsed, LONGEST), SHORTEST)
+        memory[marker] = fitting
         # A change of memory changes the lags alone, not the line: position and velocity stay.
-        stages += (1.0 - fitting / memory)[:, None] * (position - stages)
-        self._stages[:, seen], self._memory[seen], self._unseen[seen] = stages, fitting, 0.0
-        return position
+        change = 1.0 - fitting / tau
+        for axis in range(3):
+            position = 4.0 * smoothers[2, axis] - 3.0 * smoothers[3, axis]
+            found[marker, axis] = position
+            for stage in range(_STAGES):
+                smoothers[stage, axis] += change * (position - smoothers[stage, axis])
+    return seen

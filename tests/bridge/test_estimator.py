@@ -420,7 +420,7 @@ class Telling:
     def reset(self, rate: float) -> None: ...
 
     def estimate(self, tracked: Floats, velocity: Floats) -> tuple[Floats, Floats, Floats]:
-        self.heard.append(velocity)
+        self.heard.append(velocity.copy())
         index, body = len(self.heard) - 1, self._body
         body.update(self._truth[index, self._rows])
         moved = self._truth[index] - self._truth[max(index - 1, 0)]
