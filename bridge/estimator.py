@@ -141,7 +141,9 @@ class PoseEstimator:
             self._adopt(frame.layout)
         self._index = frame.index
         self._interval = frames / frame.layout.rate  # lost frames count
-        self._markers[self._here] = frame.xyz[self._columns]
+        frame.xyz.take(self._columns, 0, self._markers, "clip")
+        if len(self._foreign):
+            self._markers[self._foreign] = np.nan
         measured = self._filter.update(self._markers, self._interval)
         if self._filter.seen < ENOUGH:
             return self._hold(frame)
@@ -179,8 +181,10 @@ class PoseEstimator:
 
     def _adopt(self, layout: Layout) -> None:
         """Finds the tracked markers by label."""
-        self._here, self._columns = layout.places(self.model.info.tracked)
-        self._markers[:] = np.nan
+        here, columns = layout.places(self.model.info.tracked)
+        self._columns = np.zeros(len(self._markers), np.intp)
+        self._columns[here] = columns
+        self._foreign = np.setdiff1d(np.arange(len(self._markers)), here)  # to the stream
         if self._layout is None or layout.rate != self._layout.rate:
             self.regression.reset(layout.rate)
         self._layout = layout

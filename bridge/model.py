@@ -19,8 +19,8 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
-from functools import partial
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
@@ -176,11 +176,15 @@ class Model:
         """By networks, of one frame: all markers (M, 3), their sigma (M,) and velocities (M, 3),
         from the tracked ones (T, 3) and their velocities (T, 3).
         """
-        return self.bound(1).estimate(tracked[None], velocity[None])[0]
+        return self.networks(1).estimate(tracked[None], velocity[None])[0]
 
-    def bound(self, count: int) -> Bound:
+    def networks(self, count: int) -> BoundNetworks:
         """The networks, to be run on so many whole frames at a time, over and over."""
-        return Bound(self._session, self.info, count)
+        return BoundNetworks(self._session, self.info, count)
+
+    def mixture(self, history: Floats) -> BoundMixture:
+        """The mixture, to be run frame after frame; the caller keeps the history (h, K)."""
+        return BoundMixture(self._session, self.width, history)
 
     def recall(self, tracked: Floats, present: Floats, memory: Floats) -> tuple[Floats, Floats]:
         """By networks, of n frames that lack markers: the tracked ones (n, T, 3) and their sigma
@@ -216,33 +220,30 @@ class Model:
             raise ValueError(f"the graph gives shapes {given}, not {expected}")
 
 
-class Bound:
+class BoundNetworks:
     """Networks that are run on n whole frames at a time. All that they read and write is made once.
 
-    Not for several threads at a time.
+    Not for several threads at a time. Call `estimate`.
     """
 
     def __init__(self, session: onnxruntime.InferenceSession, info: ModelInfo, count: int) -> None:
-        tracked, self._markers = len(info.tracked), len(info.labels)
-        self._x = np.zeros((count, tracked, 3), np.float32)
+        tracked, markers = len(info.tracked), len(info.labels)
+        self._x: Floats = np.zeros((count, tracked, 3), np.float32)
         self._v = np.zeros_like(self._x)
-        self._y: Floats = np.zeros((count, 7 * self._markers), np.float32)
-        # The last two: what a frame that lacks nothing has for what is asked of others.
+        y: Floats = np.zeros((count, 7 * markers), np.float32)
+        self._logarithms = y[:, 3 * markers : 4 * markers]
+        self._sigma = np.zeros_like(self._logarithms)
+        poses = y[:, : 3 * markers].reshape(count, markers, 3)
+        velocities = y[:, 4 * markers :].reshape(count, markers, 3)
+        self._found = list(zip(poses, self._sigma, velocities, strict=True))
         inputs = {
             "x": self._x.reshape(count, -1),
             "v": self._v.reshape(count, -1),
+            # What a frame that lacks nothing has for what is asked of others.
             "present": np.ones((count, tracked), np.float32),
             "memory": np.ones((count, 9 * tracked + 1), np.float32),
         }
-        self._kept = inputs  # the session knows where these are, and no more
-        self._run = partial(session.run_with_iobinding, self._binding(session, inputs))
-
-    def _binding(self, session: onnxruntime.InferenceSession, inputs: dict[str, Floats]) -> Any:
-        binding = session.io_binding()
-        for name, array in inputs.items():
-            binding.bind_input(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
-        binding.bind_output("y", "cpu", 0, np.float32, self._y.shape, self._y.ctypes.data)
-        return binding
+        self._run = _bound(session, inputs, {"y": y})
 
     def estimate(self, tracked: Floats, velocity: Floats) -> list[tuple[Floats, Floats, Floats]]:
         """Of each frame: all markers (M, 3), their sigma (M,) and velocities (M, 3), from the
@@ -250,12 +251,40 @@ class Bound:
         """
         self._x[:], self._v[:] = tracked, velocity
         self._run()
-        middle, end = 3 * self._markers, 4 * self._markers
-        sigma = np.exp(self._y[:, middle:end])
-        return [
-            (y[:middle].reshape(-1, 3), own, y[end:].reshape(-1, 3))
-            for y, own in zip(self._y, sigma, strict=True)
-        ]
+        np.exp(self._logarithms, out=self._sigma)
+        return self._found
+
+
+class BoundMixture:
+    """A mixture, frame by frame. All that it reads and writes is made once: x, to be filled, and
+    the history of leaf weights; z and p, which the next `run` overwrites. Shapes as at the top of
+    this module.
+    """
+
+    def __init__(self, session: onnxruntime.InferenceSession, width: int, history: Floats) -> None:
+        outputs = {entry.name: int(entry.shape[1]) for entry in session.get_outputs()}
+        self.x: Floats = np.zeros((1, width), np.float32)
+        self.history = history
+        self.z: Floats = np.zeros((1, outputs["z"]), np.float32)
+        self.p: Floats = np.zeros((1, outputs["p"]), np.float32)
+        inputs = {"x": self.x, "history": history}
+        self.run = _bound(session, inputs, {"z": self.z, "p": self.p})
+
+
+def _bound(
+    session: onnxruntime.InferenceSession, inputs: dict[str, Floats], outputs: dict[str, Floats]
+) -> Callable[[], None]:
+    """Runs the graph on these arrays, over and over."""
+    binding = session.io_binding()
+    for name, array in inputs.items():
+        binding.bind_input(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
+    for name, array in outputs.items():
+        binding.bind_output(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
+
+    def run(_kept: object = (inputs, outputs)) -> None:  # the binding knows where they are, no more
+        session.run_with_iobinding(binding)
+
+    return run
 
 
 def _line(error: Exception) -> str:

@@ -85,7 +85,7 @@ class NetworkRegression:
 
     def __init__(self, model: Model) -> None:
         self._model = model
-        self._bound = model.bound(1)
+        self._networks = model.networks(1)
 
     def reset(self, rate: float) -> None:
         """There is no past to forget."""
@@ -111,7 +111,7 @@ class NetworkRegression:
 
     def estimate(self, tracked: Floats, velocity: Floats) -> Estimate:
         """See `Regression`."""
-        return self._bound.estimate(tracked[None], velocity[None])[0]
+        return self._networks.estimate(tracked[None], velocity[None])[0]
 
 
 class MixtureRegression:
@@ -131,14 +131,20 @@ class MixtureRegression:
         self._gaussian = ConditionalGaussian(info.mean, info.covariance)
         self._sigma: Floats = np.zeros(len(info.labels), np.float32)
         self._sigma[self._unworn] = info.sigma
+        self._pose: Floats = np.zeros((len(info.labels), 3), np.float32)
         self.reset(_RATE)
 
     def reset(self, rate: float) -> None:
         """Forgets the leaf weights of the frames before."""
         length = max(0, round(self._history * rate / _RATE))
-        self._weights: Floats = np.zeros((length, self._model.leaves), np.float32)
+        self._mixture = self._model.mixture(np.zeros((length, self._model.leaves), np.float32))
         self._oldest = 0
-        self.leaf_weights: Floats = np.zeros(self._model.leaves, np.float32)
+
+    @property
+    def leaf_weights(self) -> Floats:
+        """(K,) of the frame estimated last; zero before the first."""
+        weights: Floats = self._mixture.p[0]
+        return weights
 
     def leaf(self) -> int:
         """The leaf with most votes."""
@@ -170,12 +176,11 @@ class MixtureRegression:
 
     def estimate(self, tracked: Floats, velocity: Floats) -> Estimate:
         """See `Regression`. Local models know nothing of velocities."""
-        x = tracked[self._features].reshape(1, -1)[:, : self._model.width]
-        z, p = self._model.run(x, self._weights)
-        self.leaf_weights = p[0]
-        if len(self._weights):
-            self._weights[self._oldest] = p[0]
-            self._oldest = (self._oldest + 1) % len(self._weights)
-        pose = np.zeros((len(self._sigma), 3), np.float32)
-        pose[self._unworn] = z.reshape(-1, 3)
-        return pose, self._sigma.copy(), None
+        mixture, history = self._mixture, self._mixture.history
+        mixture.x[0] = tracked[self._features].ravel()[: mixture.x.size]
+        mixture.run()
+        if len(history):
+            history[self._oldest] = mixture.p[0]
+            self._oldest = (self._oldest + 1) % len(history)
+        self._pose[self._unworn] = mixture.z.reshape(-1, 3)
+        return self._pose, self._sigma, None

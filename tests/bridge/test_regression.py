@@ -285,7 +285,7 @@ def test_the_history_is_a_time_not_a_number_of_frames(mixture_model, poses, rate
     regression.reset(rate)
     for _ in range(2 * frames):
         regression.estimate(one, still)
-    after = np.array([regression.estimate(other, still)[0] for _ in range(2 * frames)])
+    after = np.array([regression.estimate(other, still)[0].copy() for _ in range(2 * frames)])
     moving = np.abs(np.diff(after, axis=0)).max(axis=(1, 2)) > 1e-6
     assert moving[:frames].all()
     assert not moving[frames:].any()
