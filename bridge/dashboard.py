@@ -98,6 +98,12 @@ class Dashboard:
             )
         ]
         yield self._figures(width)
+        if self.status.performers:
+            yield self._performers(width)
+            yield self._hops(width)
+            yield self._sinks(width)
+            yield self._line(width)
+            return
         if width < WIDE or (height is not None and height < TALL) or not self.status.markers:
             yield self._markers(width)
             yield self._hops(width)
@@ -197,6 +203,26 @@ class Dashboard:
         found = [(label, at.missing / frames) for label, at in self.status.markers.items()]
         return sorted(found, key=lambda item: -item[1])
 
+    def _performers(self, width: int) -> Block:
+        """A row each: their rate, how old their poses are, and what is seen of them."""
+        name = min(max(map(len, self.status.performers)), max(8, width - 48))
+        heading = f" {'PERFORMERS':<{name}}{'per s':>8}{'p50':>7}{'p99':>7}   seen   missing most"
+        lines = [Text(heading, "cyan")]
+        for performer, status in self.status.performers.items():
+            age, markers = status.ages["estimate"], status.markers
+            rate = status.frames / max(status.seconds, 1e-9) if self.ended else status.rate
+            here = sum(marker.state == "measured" for marker in markers.values())
+            worst = max(markers, key=lambda label: markers[label].missing, default="")
+            share = markers[worst].missing / max(1, status.frames) if worst else 0.0
+            line = Text.assemble(
+                f" {_shortened(performer, name):<{max(name, 10)}}{rate:8.1f}",
+                f"{_ms(age.p50):>7}{_ms(age.p99):>7}   ",
+                (f"{here} of {len(markers)}", "yellow" if here < len(markers) else ""),
+                f"   {worst} {share:.1%}" if share else "",
+            )
+            lines.append(line)
+        return lines
+
     def _hops(self, width: int) -> Block:
         """A row each for the ways in, through and out: ages, rates, losses."""
         status, ages = self.status, self.status.ages
@@ -225,6 +251,7 @@ class Dashboard:
         ]
         for hop in (
             _Hop("line", ages["delay"], _counter("frames"), status.missing_indices),
+            _Hop("read", ages["parse"]),
             _Hop("queue", ages["queue"], None, status.source["fifo_overflow"]),
             _Hop("pose", ages["estimate"], lambda at: at.frames),
             *(_sink_hop(name, sink) for name, sink in status.sinks.items()),

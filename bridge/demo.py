@@ -17,7 +17,7 @@ from rich.console import Console
 
 from bridge import terminal
 from bridge.model import DEFAULT, Model
-from bridge.opening import open_session
+from bridge.opening import open_stage
 from bridge.session import Session
 from bridge.session_file import plan_session
 from bridge.sinks.sink import SinkError
@@ -56,21 +56,21 @@ def main(argv: list[str]) -> int:
         with (
             stopping() as stop,
             _simulator(options, port, truth) as simulator,
-            open_session(plan, model, stop) as session,
+            open_stage(plan, model, stop) as stage,
         ):
             _introduce(console, options, sinks)
-            with terminal.shown(console, session.status, TITLE):
-                session.run(stop, options.seconds)
+            with terminal.shown(console, stage.status, TITLE):
+                stage.run(stop, options.seconds)
             died = simulator.poll() is not None
-            session.close()
-            status = session.status()
+            stage.close()
+            status = stage.status()
     terminal.summarise(console, status, f"{TITLE}: ended")
     if died:
         raise DemoError("the simulator ended before the demo did")
     if not (status.frames or stop.is_set()):
         raise DemoError("no frame came through the simulated serial port")
     if options.snapshot:
-        _take_snapshot(options.snapshot, model, session, console)
+        _take_snapshot(options.snapshot, model, stage.sessions[""], console)
     return 0
 
 

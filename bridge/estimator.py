@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +12,7 @@ from bridge.body_frame import CONSTRUCTIONS, BodyFrame
 from bridge.compiled import compiled
 from bridge.imputation import Imputation
 from bridge.imputer import NEAR, Imputer
-from bridge.model import Model, ModelInfo
+from bridge.model import BoundNetworks, Model, ModelInfo
 from bridge.pose import Pose, Provenance
 from bridge.regression import Estimate, features_of, regression_of
 from bridge.smoothing import NoiseFilter
@@ -256,6 +257,26 @@ class PoseEstimator:
             self._shown = pose[self._rows]
             self._imputer.hold(self._shown, self._filter.velocity, interval)
         return Pose(frame.index, frame.t, pose, provenance, sigma)
+
+
+class Jointly:
+    """Asks for several performers at a time: networks in one run, which costs little more than for
+    one. All estimators are of one model.
+    """
+
+    def __init__(self, estimators: Sequence[PoseEstimator]) -> None:
+        self._model = estimators[0].model
+        self._networks: dict[int, BoundNetworks] = {}
+
+    def estimate(self, estimators: Sequence[PoseEstimator]) -> list[Estimate]:
+        """What the regression says of what each of them asks; the next call may overwrite it."""
+        if self._model.leaves or len(estimators) < 2:
+            return [one.regression.estimate(*one.asked) for one in estimators]
+        count = len(estimators)
+        if count not in self._networks:
+            self._networks[count] = self._model.networks(count)
+        tracked, velocities = zip(*(one.asked for one in estimators), strict=True)
+        return [*self._networks[count].estimate(np.array(tracked), np.array(velocities))]
 
 
 @compiled("void(f4[:,::1], f4[:,::1], i8[::1], f8[::1], f8, f4[:,::1], f4[:,::1], f8[::1])")

@@ -1,23 +1,25 @@
-"""A session with all that it needs, opened by address and closed together."""
+"""Sessions with all that they need, opened by address and closed together."""
 
 from __future__ import annotations
 
 import contextlib
 import logging
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
+from bridge.cast import Cast
 from bridge.estimator import PoseEstimator
 from bridge.model import Model, ModelInfo
 from bridge.session import Session
-from bridge.session_file import SessionPlan
+from bridge.session_file import Role, SessionPlan
 from bridge.sinks.registry import open_sink
 from bridge.sinks.sink import Sink, SinkContext, SinkError, ViewError
+from bridge.stage import Stage
 from bridge.truth import Truth
 from drivers.frame import Source, SourceError
 from drivers.registry import open_source
-from drivers.url import UrlError
+from drivers.url import Url, UrlError
 
 AGAIN = 1.0  # s between attempts to open a source that is waited for
 
@@ -29,41 +31,86 @@ class Stopped(Exception):
 
 
 @contextmanager
-def open_session(plan: SessionPlan, model: Model, stop: threading.Event) -> Iterator[Session]:
-    """A session with source and sinks opened by address; all is closed at the end, come what may.
+def open_stage(plan: SessionPlan, model: Model, stop: threading.Event) -> Iterator[Stage]:
+    """A stage with sources and sinks opened by address; all is closed at the end, come what may.
 
-    The source comes last: a device starts to send when it is opened, and a view takes its time.
-    Raises Stopped where `stop` is set while the source is waited for.
+    Sources come last: a device starts to send when it is opened, and a view takes its time.
+    Raises UsageError for performers that cannot be meant, Stopped where `stop` is set while a
+    source is waited for.
     """
+    roles = plan.roles
     with contextlib.ExitStack() as opened:
         with plan.naming("truth"):
             truth = open_truth(plan.truth, model.info) if plan.truth else None
         if truth:
             opened.enter_context(truth.source)
-        context = SinkContext(model.info, truth.at if truth else lambda _index: None)
-        open_sinks: list[Sink] = []
+        known = truth.at if truth else lambda _index: None
+        contexts = {
+            name: SinkContext(model.info, known, performer=name)
+            for role in roles
+            for name in role.performers
+        }
+        sinks: dict[str, list[Sink]] = {name: [] for name in contexts}
         for number, address in enumerate(plan.sinks):
-            try:
-                with plan.naming("sinks", number):
-                    sink = open_sink(address, context)
-            except ViewError as error:  # nobody's session ends for want of a window
-                log.warning("%s", error)
-                continue
-            opened.callback(_quietly(sink.close))
-            open_sinks.append(sink)
-        source = opened.enter_context(_open_source(plan, stop))
-        session = Session(source, PoseEstimator(model), open_sinks, context, truth=truth)
-        opened.callback(session.close)
-        yield session
+            with plan.naming("sinks", number):
+                for name, sink in _open_sinks(address, contexts):
+                    opened.callback(_quietly(sink.close))
+                    sinks[name].append(sink)
+        casts = []
+        for role in roles:
+            source = opened.enter_context(_open_source(role, plan, stop))
+            sessions = {
+                name: Session(
+                    *(source, PoseEstimator(model), sinks[name], contexts[name]),
+                    truth=truth,
+                    shared=not role.alone,
+                )
+                for name in role.performers
+            }
+            casts.append(Cast(source, sessions, alone=role.alone))
+        stage = Stage(casts)
+        opened.callback(stage.close)
+        yield stage
 
 
-def _open_source(plan: SessionPlan, stop: threading.Event) -> Source:
-    """The plan's source, once it is there. Raises SourceError where it is not to be waited for."""
+def _open_sinks(address: str, contexts: dict[str, SinkContext]) -> Iterator[tuple[str, Sink]]:
+    """The sinks that an address means, one for each performer. Raises as `open_sink`."""
+    url = Url.parse(address)
+    names = list(contexts)
+    if "performer" in url.options:
+        names = [url.take("performer", "", _among(names))]
+        address = Url.parse(address).without("performer").text
+    for name in names:
+        try:
+            sink = open_sink(address, contexts[name])
+        except ViewError as error:  # nobody's session ends for want of a window
+            log.warning("%s", error)
+            continue
+        if sink.one_body and len(names) > 1:
+            sink.close()
+            raise UrlError(
+                f"'{address}' is for one performer: write performer=NAME as one of its options "
+                f"(known: {', '.join(names)}), and an address for each"
+            )
+        yield name, sink
+
+
+def _among(names: Sequence[str]) -> Callable[[str], str]:
+    def check(name: str) -> str:
+        if name not in names or not name:
+            raise ValueError(f"known are {', '.join(filter(None, names)) or 'none'}")
+        return name
+
+    return check
+
+
+def _open_source(role: Role, plan: SessionPlan, stop: threading.Event) -> Source:
+    """A source, once it is there. Raises SourceError where it is not to be waited for."""
     said = ""
     while True:
         try:
-            with plan.naming("source"):
-                source = open_source(plan.source.address)
+            with plan.naming(*role.keys):
+                source = open_source(role.address)
             if said:
                 log.info("the source is there")
             return source

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
@@ -28,7 +29,8 @@ class Pose:
     index, t: the marker frame's. xyz: (M, 3) float32 metres, world, in the model's marker order.
     provenance: (M,) uint8 of Provenance. sigma: (M,) float32, standard deviation of the error per
     coordinate, metres. posture: the humanoid of these markers; None where no sink wants it, and
-    until all of them are known.
+    until all of them are known. performer: whose it is; empty where there is one alone. t_mapped,
+    t_parsed: the frame's; t_estimated: seconds on the host's clock when the pose was known.
     """
 
     index: int
@@ -37,6 +39,10 @@ class Pose:
     provenance: npt.NDArray[np.uint8]
     sigma: Floats
     posture: Posture | None = None
+    performer: str = ""
+    t_mapped: float = math.nan
+    t_parsed: float = math.nan
+    t_estimated: float = math.nan
 
     def lost(self, t: float) -> Pose:
         """The same at a later time, when nothing is known any more."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import gc
 import json
 import os
 import threading
@@ -18,9 +19,9 @@ from rich.console import Console
 
 from bridge import terminal
 from bridge.model import DEFAULT, Model
-from bridge.opening import Stopped, open_session
-from bridge.session import Session
+from bridge.opening import Stopped, open_stage
 from bridge.session_file import SessionPlan, plan_session, read_session
+from bridge.stage import Stage
 from bridge.status_server import StatusServer, parse_endpoint
 from bridge.watch import watching
 from drivers.errors import MarkerbridgeError, UsageError
@@ -43,25 +44,26 @@ def main(argv: list[str]) -> int:
 
 
 def _run(plan: SessionPlan, stop: threading.Event, console: Console, *, as_json: bool) -> None:
-    title = f"markerbridge run {plan.source.url}"
+    title = f"markerbridge run {plan.title}"
     report = Report(plan)
     with _status_server(plan, report, console):
         try:
             with (
                 contextlib.suppress(Stopped),
-                open_session(plan, Model(plan.model), stop) as session,
+                open_stage(plan, Model(plan.model), stop) as stage,
             ):
-                report.session, report.state = session, "running"
+                report.stage, report.state = stage, "running"
+                gc.freeze()  # what is there stays: it need not be looked through again
                 shown = (
                     contextlib.nullcontext()
                     if as_json
-                    else terminal.shown(console, session.status, title, plan.log.lines)
+                    else terminal.shown(console, stage.status, title, plan.log.lines)
                 )
-                with shown, watching(session.source.name, session.status, plan.log.every):
-                    session.run(stop, plan.seconds)
-                session.close()
+                with shown, watching(stage.name, stage.status, plan.log.every):
+                    stage.run(stop, plan.seconds)
+                stage.close()
         except MarkerbridgeError:
-            if report.session and report.session.last_pose:  # it did something before it failed
+            if report.stage and report.stage.status().frames:  # it did something before it failed
                 _summarise(report, title, console, as_json=as_json)
             raise
         _summarise(report, title, console, as_json=as_json)
@@ -71,8 +73,8 @@ def _summarise(report: Report, title: str, console: Console, *, as_json: bool) -
     report.state = "ended"
     if as_json:
         terminal.answer(json.dumps(report()))
-    elif report.session:
-        terminal.summarise(console, report.session.status(), f"{title}: ended")
+    elif report.stage:
+        terminal.summarise(console, report.stage.status(), f"{title}: ended")
     else:
         console.print(f"{title}: ended before its source was there", markup=False)
 
@@ -85,7 +87,7 @@ class Report:
 
     def __init__(self, plan: SessionPlan) -> None:
         self.state = "waiting"
-        self.session: Session | None = None
+        self.stage: Stage | None = None
         self._process = {
             "version": version("markerbridge"),
             "pid": os.getpid(),
@@ -94,19 +96,19 @@ class Report:
         self._plan = plan
 
     def __call__(self) -> dict[str, Any]:
-        session = self.session
+        stage = self.stage
         return {
             **self._process,
             "state": self.state,
-            "source_address": session.source.name if session else self._plan.source.url,
+            "source_address": stage.name if stage else self._plan.title,
             "sink_addresses": self._plan.sinks,
-            **(asdict(session.status()) if session else {}),
+            **(asdict(stage.status()) if stage else {}),
         }
 
 
 def _plan(options: argparse.Namespace) -> SessionPlan:
     """What the command line says, or its session file with what the command line overrides."""
-    if (options.source is None) == (options.config is None):
+    if (not options.source) == (options.config is None):
         raise UsageError("name a SOURCE, or --config FILE, which names one: not both")
     overriding = {"seconds": options.seconds, "status": options.status, "wait": options.wait}
     overriding = {name: value for name, value in overriding.items() if value}
@@ -115,13 +117,14 @@ def _plan(options: argparse.Namespace) -> SessionPlan:
             if getattr(options, name) not in (None, []):
                 raise UsageError(f"--{name} and --config: write it into {options.config}")
         return read_session(options.config).model_copy(update=overriding)
-    source = {"url": options.source}
+    sources = [{"url": source} for source in options.source]
     if options.allow is not None:
-        if Url.parse(options.source).scheme != "osc":
-            raise UsageError(f"--allow is for osc:// sources, not for '{options.source}'")
-        source["allow"] = options.allow
+        for source in sources:
+            if Url.parse(source["url"]).scheme != "osc":
+                raise UsageError(f"--allow is for osc:// sources, not for '{source['url']}'")
+            source["allow"] = options.allow
     written = {"model": options.model or DEFAULT, "sinks": options.to, "truth": options.truth}
-    return plan_session({"source": source, **written, **overriding})
+    return plan_session({"source": sources, **written, **overriding})
 
 
 @contextmanager
@@ -144,8 +147,10 @@ def _parser() -> argparse.ArgumentParser:
     add(
         "source",
         metavar="SOURCE",
-        nargs="?",
-        help="serial:PATH, osc://HOST:PORT, c3d:FILE or log:FILE",
+        nargs="*",
+        help="serial:PATH, osc://HOST:PORT, c3d:FILE or log:FILE; of several performers one each, "
+        "with the option performer=NAME, or one for all, with performers=NAME,NAME where labels "
+        "are NAME:LABEL",
     )
     add(
         "--config",

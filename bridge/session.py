@@ -1,20 +1,17 @@
-"""The run loop: frames from a source, through the estimator, to every sink. What they travel on
-are the threads here and in the sinks' outlets.
-"""
+"""One performer's way through the bridge: marker frames, estimator, every sink."""
 
 from __future__ import annotations
 
 import logging
 import math
 import shlex
-import threading
 from collections import Counter, deque
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 from bridge.estimator import PoseEstimator
-from bridge.humanoid.solver import HumanoidSolver
-from bridge.pose import Pose, Provenance
+from bridge.pose import Pose
+from bridge.regression import Estimate
 from bridge.sinks.outlet import COUNTED, Outlet, Tap
 from bridge.sinks.sink import Sink, SinkContext, SinkError
 from bridge.statistics import Ages, Hop, MarkerStatus, Mean, Presence
@@ -25,11 +22,13 @@ from drivers.log_source import TRUTH, LogFrames, LogSource
 from drivers.session_log import OPENED, LineEvent
 from drivers.wire_source import WireSource
 
+if TYPE_CHECKING:
+    from bridge.humanoid.solver import HumanoidSolver
+
 log = logging.getLogger(__name__)
 
-FIFO = 1.0  # s of frames that may wait for the estimator
 SILENT = 1.0  # s without a frame after which the stream has no rate
-POLL = 0.1  # s between looks at whether to stop
+HOPS = ("delay", "parse", "queue", "estimate")  # beside the sinks
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,10 +36,11 @@ class Status:
     """A session at one moment, for the terminal and for machines; times in seconds, errors in mm.
 
     silent: since a frame was last taken in. ages: by hop. `delay`: of a frame when it comes in,
-    more than the quickest of a minute; none where the device sends no stamps. `queue`: when the
-    estimator takes it, since it came in; `estimate`: when its pose is known, since then as well;
-    and so for each sink `age`, when it is sent. markers: the tracked ones, by label. truth:
-    counters of its source, None where there is none.
+    more than the quickest of a minute; none where the device sends no stamps. All others since it
+    came in: `parse`, when it is read; `queue`, when the estimator takes it; `estimate`, when its
+    pose is known; and for each sink `age`, when it is sent. markers: the tracked ones, by label.
+    truth: counters of its source, None where there is none. performers: of several, each one's
+    own; all else is then of all of them, markers by `PERFORMER:LABEL`.
     """
 
     model: str
@@ -60,12 +60,22 @@ class Status:
     source: dict[str, int]
     truth: dict[str, int] | None
     sinks: dict[str, dict[str, Any]]
+    performers: dict[str, Status] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class Backlog:
+    """Frames of a source that wait, and how many were dropped because too many did."""
+
+    frames: deque[MarkerFrame] = field(default_factory=deque)
+    overflow: int = 0
 
 
 class Session:
-    """One performer's stream. `handle` takes a frame through; `run` does so live, with threads.
+    """One performer's stream; `handle` takes a frame through (`bridge.stage` does so live).
 
-    truth: where the simulator sends the clean poses, joined by frame index for the meter.
+    truth: where the simulator sends the clean poses, joined by frame index for the meter. shared:
+    the source's line is that of others, too, so that it is not recorded.
     """
 
     def __init__(
@@ -77,23 +87,22 @@ class Session:
         *,
         truth: Truth | None = None,
         clock: Clock = SYSTEM_CLOCK,
+        shared: bool = False,
     ) -> None:
         self.source = source
+        self.backlog = Backlog()
         self.last_pose: Pose | None = None
-        self._estimator = estimator
+        self.estimator = estimator
+        self.outlets = [Outlet(sink, clock) for sink in sinks]
         self._context = context
-        self._outlets = [Outlet(sink, clock) for sink in sinks]
-        self._recording = [outlet for outlet in self._outlets if outlet.sink.records]
+        self._recording = [outlet for outlet in self.outlets if outlet.sink.records]
         wanted = any(sink.wants_posture for sink in sinks)
-        self._humanoid = HumanoidSolver(context.info) if wanted else None
+        self._humanoid = _humanoid(context) if wanted else None
         self._truth = truth
         self._clock = clock
         self._started = self._taken = clock.now()
-        self._fifo: deque[MarkerFrame] = deque()
-        self._wake = threading.Condition()
-        self._source_error: Exception | None = None
         self._counters: Counter[str] = Counter()
-        self._hops = {name: Hop() for name in ("delay", "queue", "estimate")}
+        self._hops = {name: Hop() for name in HOPS}
         info = context.info
         self._presence = Presence({label: info.labels.index(label) for label in info.tracked})
         self._rms = Mean()
@@ -101,62 +110,65 @@ class Session:
         self._layout: Layout | None = None
         self._closed = False
         context.model = estimator.model.path
-        self._tap("source", source)
+        if not shared:
+            self._tap("source", source)
         if truth:
             self._tap(TRUTH, truth.source)
+
+    @property
+    def performer(self) -> str:
+        """Whose it is; empty where there is one alone."""
+        return self._context.performer
+
+    def start(self) -> None:
+        """From now on time counts, and sinks have threads of their own."""
+        self._started = self._taken = self._clock.now()
+        for outlet in self.outlets:
+            outlet.start()
 
     def handle(self, frame: MarkerFrame) -> Pose:
         """Estimates the pose at one frame and hands it to every sink.
 
         Raises SourceError where the first layout has no marker that the model tracks.
         """
+        held = self.begin(frame)
+        if held is not None:
+            return held
+        return self.finish(frame, self.estimator.regression.estimate(*self.estimator.asked))
+
+    def begin(self, frame: MarkerFrame) -> Pose | None:
+        """The first half of `handle`, up to what the estimator asks its regression; where it has
+        nothing to ask, the pose, and there is no second half.
+        """
         self._taken = self._clock.now()
         if frame.layout is not self._layout:
             self._adopt(frame.layout)
         if self._truth:
             self._truth.receive()
-        self._record(frame)
-        pose = self._estimator.step(frame)
-        if self._humanoid:
-            pose = replace(pose, posture=self._humanoid.solve(pose))
-        estimated = self._clock.now()
-        for outlet in self._outlets:
-            outlet.put(pose)
-        self._count(frame, pose, estimated)
-        return pose
+        self.record(frame)
+        held = self.estimator.begin(frame)
+        return None if held is None else self._deliver(frame, held)
 
-    def run(self, stop: threading.Event, seconds: float | None = None) -> None:
-        """Handles frames until `stop` is set, the source ends, or `seconds` have passed.
+    def finish(self, frame: MarkerFrame, estimate: Estimate) -> Pose:
+        """The second half, with what the regression says."""
+        return self._deliver(frame, self.estimator.finish(frame, estimate))
 
-        Raises what the source raised, after all that it delivered has been handled.
+    def record(self, frame: MarkerFrame) -> None:
+        """Tells the sinks that record of a frame."""
+        for outlet in self._recording:
+            outlet.record(frame)
+
+    def tell_lost(self) -> None:
+        """Where frames came and come no more, engines and view are told that the pose is lost: else
+        a body would stand there as if nothing had happened. To be called some times a second.
         """
-        self._started = self._taken = self._clock.now()
-        end = None if seconds is None else self._started + seconds
-        for outlet in self._outlets:
-            outlet.start()
-        finished = threading.Event()
-        reader = threading.Thread(target=self._read, args=(finished,), name="source", daemon=True)
-        reader.start()
-        try:
-            while not stop.is_set() and (end is None or self._clock.now() < end):
-                with self._wake:
-                    if not self._fifo:
-                        if not reader.is_alive():
-                            break
-                        self._wake.wait(POLL)
-                    frame = self._fifo.popleft() if self._fifo else None
-                    self._wake.notify_all()
-                if frame is not None:
-                    self.handle(frame)
-                else:
-                    self._tell_lost()
-        finally:
-            finished.set()
-            reader.join(2.0)
-        while self._fifo:  # what has come in goes out
-            self.handle(self._fifo.popleft())
-        if self._source_error:
-            raise self._source_error
+        now = self._clock.now()
+        if self.last_pose is None or now - self._taken < SILENT:
+            return
+        lost = self.last_pose.lost(now)
+        for outlet in self.outlets:
+            if outlet.sink.waiting is not None:  # what keeps all poses is for those that were
+                outlet.put(lost)
 
     def close(self) -> None:
         """Closes source and sinks, recordings whole; a second call does nothing.
@@ -170,7 +182,7 @@ class Session:
         if self._truth:
             self._truth.source.close()
         errors = []
-        for outlet in self._outlets:
+        for outlet in self.outlets:
             try:
                 outlet.close()
             except SinkError as error:
@@ -187,7 +199,7 @@ class Session:
         """What the session has done so far."""
         now = self._clock.now()
         return Status(
-            model=str(self._estimator.model.path),
+            model=str(self.estimator.model.path),
             seconds=now - self._started,
             silent=now - self._taken,
             frames=self._counters["frames"],
@@ -197,11 +209,11 @@ class Session:
             rms_mm=self._rms.mean,
             rms_now_mm=self._rms.last,
             markers=self._presence.markers(now),
-            imputed_samples=self._counters["imputed"],
-            lost_frames=self._counters["lost"],
+            imputed_samples=self._presence.imputed,
+            lost_frames=self._presence.lost,
             missing_indices=self.source.counters["missing"],
-            waiting=len(self._fifo),
-            source=dict(self.source.counters) | {"fifo_overflow": self._counters["fifo_overflow"]},
+            waiting=len(self.backlog.frames),
+            source=dict(self.source.counters) | {"fifo_overflow": self.backlog.overflow},
             truth=dict(self._truth.source.counters) if self._truth else None,
             sinks={
                 outlet.sink.name: {
@@ -209,7 +221,7 @@ class Session:
                     "last_error": outlet.last_error,
                     "age": outlet.hop.ages(now),
                 }
-                for outlet in self._outlets
+                for outlet in self.outlets
             },
         )
 
@@ -222,22 +234,6 @@ class Session:
             outlet.record(LineEvent(name, self._clock.now(), OPENED, address))
         if isinstance(source, WireSource):
             source.recorder = Tap(name, self._recording)
-
-    def _record(self, frame: MarkerFrame) -> None:
-        for outlet in self._recording:
-            outlet.record(frame)
-
-    def _tell_lost(self) -> None:
-        """Where frames came and come no more, engines and view are told that the pose is lost, ten
-        times a second: else a body would stand there as if nothing had happened.
-        """
-        now = self._clock.now()
-        if self.last_pose is None or now - self._taken < SILENT:
-            return
-        lost = self.last_pose.lost(now)
-        for outlet in self._outlets:
-            if outlet.sink.waiting is not None:  # what keeps all poses is for those that were
-                outlet.put(lost)
 
     def _adopt(self, layout: Layout) -> None:
         """Takes in a new layout; says which tracked markers the stream does not carry."""
@@ -263,43 +259,33 @@ class Session:
             )
         self._layout = layout
         self._context.rate = layout.rate
-        for outlet in self._outlets:
+        for outlet in self.outlets:
             outlet.stream_rate = layout.rate
 
-    def _read(self, finished: threading.Event) -> None:
-        """The reader's thread: nothing but reading, so the line is never kept waiting."""
-        try:
-            while not finished.is_set() and not self.source.exhausted:
-                frame = self.source.read(POLL)
-                if frame is None:
-                    continue
-                room = max(2.0, FIFO * frame.layout.rate)
-                with self._wake:
-                    while not self.source.live and len(self._fifo) >= room:
-                        if finished.is_set():
-                            return
-                        self._wake.wait(POLL)
-                    self._fifo.append(frame)
-                    if len(self._fifo) > room:
-                        self._record(self._fifo.popleft())
-                        self._counters["fifo_overflow"] += 1
-                    self._wake.notify_all()
-        except Exception as error:  # for the caller's thread to raise
-            self._source_error = error
-        finally:
-            with self._wake:
-                self._wake.notify_all()
+    def _deliver(self, frame: MarkerFrame, pose: Pose) -> Pose:
+        """Hands a pose, with its times, to every sink; then counts it, as that delays nobody."""
+        posture = self._humanoid.solve(pose) if self._humanoid else None
+        estimated = self._clock.now()
+        pose = Pose(
+            *(pose.index, pose.t, pose.xyz, pose.provenance, pose.sigma, posture),
+            *(self._context.performer, frame.t_mapped, frame.t_parsed, estimated),
+        )
+        for outlet in self.outlets:
+            outlet.put(pose)
+        self._count(frame, pose)
+        return pose
 
-    def _count(self, frame: MarkerFrame, pose: Pose, estimated: float) -> None:
+    def _count(self, frame: MarkerFrame, pose: Pose) -> None:
         self.last_pose = pose
+        hops = self._hops
         if not (math.isnan(frame.t_device) or math.isnan(frame.t_mapped)):
-            self._hops["delay"].passed(frame.t_mapped, frame.t)
-        self._hops["queue"].passed(frame.t, self._taken)
-        self._hops["estimate"].passed(frame.t, estimated)
+            hops["delay"].passed(frame.t_mapped, frame.t)
+        if not math.isnan(frame.t_parsed):
+            hops["parse"].passed(frame.t, frame.t_parsed)
+        hops["queue"].passed(frame.t, self._taken)
+        hops["estimate"].passed(frame.t, pose.t_estimated)
         self._presence.add(pose.provenance, frame.t)
         self._counters["frames"] += 1
-        self._counters["imputed"] += int((pose.provenance == Provenance.IMPUTED).sum())
-        self._counters["lost"] += bool((pose.provenance == Provenance.LOST).all())
         if self._arrivals and frame.t - self._arrivals[-1] > SILENT:
             self._arrivals.clear()  # a stream that begins anew is no slow one
         self._arrivals.append(frame.t)
@@ -313,3 +299,9 @@ class Session:
         if self._clock.now() - self._arrivals[-1] > SILENT:
             return 0.0
         return (len(self._arrivals) - 1) / (self._arrivals[-1] - self._arrivals[0])
+
+
+def _humanoid(context: SinkContext) -> HumanoidSolver:
+    from bridge.humanoid.solver import HumanoidSolver  # compiled: of no use to many a session
+
+    return HumanoidSolver(context.info)

@@ -10,7 +10,7 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn
 
@@ -40,6 +40,7 @@ _WORDS = {
     "missing": "it is missing",
     "string_type": 'it is text: write it in "quotes"',
     "bool_type": "it is true or false",
+    "too_short": "it is empty",
     "list_type": 'it is a list: ["...", "..."]',
     "model_type": "it is a table",
     "finite_number": "it is a number",
@@ -57,6 +58,11 @@ class Origin:
 
     path: str = ""
     text: str = ""
+    several: bool = False  # whether its source is a list
+
+    def written(self, keys: tuple[str | int, ...]) -> tuple[str | int, ...]:
+        """The keys of an entry as they stand there: a lone source is no list."""
+        return keys if self.several or keys[:1] != ("source",) else (keys[0], *keys[2:])
 
     def at(self, keys: tuple[str | int, ...]) -> str:
         """`session.toml, line 7: source.frame: `, or as much of it as there is."""
@@ -127,6 +133,18 @@ class SourcePlan(BaseModel):
         return Url.parse(self.url).adding(self.__pydantic_extra__).text
 
 
+@dataclass(frozen=True)
+class Role:
+    """A source's address, and who is in it: one performer `alone`, whose name may be empty, or
+    several, whose labels begin with their names. keys: where it stands in a session file.
+    """
+
+    address: str
+    performers: tuple[str, ...]
+    alone: bool
+    keys: tuple[str | int, ...]
+
+
 class LogPlan(BaseModel):
     """What is said on standard error. every: seconds between sums of what went wrong. lines:
     seconds between lines on the state, where the output is no terminal; 0 for none."""
@@ -139,7 +157,7 @@ class LogPlan(BaseModel):
 
 
 class SessionPlan(BaseModel):
-    """A session: source, model, sinks, and how it is watched.
+    """A session: its source, or those of several performers, model, sinks, how it is watched.
 
     seconds: after which it ends. status: host and port where its state is asked for. wait: whether
     a source that is not there is waited for.
@@ -147,7 +165,7 @@ class SessionPlan(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    source: SourcePlan
+    source: list[SourcePlan] = Field(min_length=1)
     model: str = DEFAULT
     sinks: list[str] = []
     truth: str | None = None
@@ -163,6 +181,31 @@ class SessionPlan(BaseModel):
         if len(set(sinks)) < len(sinks):
             raise ValueError("a sink is named twice: each address is taken once")
         return sinks
+
+    @field_validator("source", mode="before")
+    @classmethod
+    def _one_or_several(cls, value: object) -> object:
+        return value if isinstance(value, list) else [value]
+
+    @property
+    def title(self) -> str:
+        """The addresses of all sources."""
+        return " ".join(source.url for source in self.source)
+
+    @property
+    def roles(self) -> list[Role]:
+        """Sources, and who is in them. Raises UsageError for performers that cannot be meant."""
+        roles = []
+        for number, source in enumerate(self.source):
+            keys = self._origin.written(("source", number))
+            with self.naming(*keys):
+                roles.append(_role(source.address, keys, several=len(self.source) > 1))
+        names = [name for role in roles for name in role.performers]
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise UsageError(f"two sources are of performer {twice[0]}: each is named once")
+        if self.truth and len(names) > 1:
+            raise UsageError("truth is for a performer alone")
+        return roles
 
     @property
     def folder(self) -> Path | None:
@@ -183,9 +226,39 @@ class SessionPlan(BaseModel):
             raise UsageError(f"{self._origin.at(keys)}{error}") from error
 
 
+def _role(address: str, keys: tuple[str | int, ...], *, several: bool) -> Role:
+    """Who is in a source. Raises UrlError."""
+    url = Url.parse(address)
+    alone = url.take("performer", "", _performer)
+    nobody: tuple[str, ...] = ()
+    together = url.take("performers", nobody, _performers)
+    if alone and together:
+        raise UrlError(f"'{address}': performer and performers: one of the two")
+    if several and not (alone or together):
+        raise UrlError(
+            f"'{address}': of several sources each says whose it is: performer=NAME, or "
+            "performers=NAME,NAME where labels begin with NAME:"
+        )
+    bare = Url.parse(address).without("performer", "performers").text
+    return Role(bare, together or (alone,), not together, keys)
+
+
+def _performer(text: str) -> str:
+    if not re.fullmatch(r"[A-Za-z0-9_-]{1,32}", text):
+        raise ValueError("a name is letters, digits, - and _, 32 at most")
+    return text
+
+
+def _performers(text: str) -> tuple[str, ...]:
+    names = tuple(map(_performer, text.split(",")))
+    if len(set(names)) < len(names):
+        raise ValueError("a performer is named twice")
+    return names
+
+
 def plan_session(values: Mapping[str, Any], origin: Origin | None = None) -> SessionPlan:
     """A plan from what a command line or a session file says. Raises UsageError."""
-    origin = origin or Origin()
+    origin = replace(origin or Origin(), several=isinstance(values.get("source"), list))
     try:
         plan = SessionPlan.model_validate(values)
     except ValidationError as errors:
@@ -221,7 +294,7 @@ def read_session(path: str | Path) -> SessionPlan:
 def _refuse(errors: list[ErrorDetails], origin: Origin) -> NoReturn:
     """Raises UsageError for the first of them."""
     error = errors[0]
-    keys, kind, context = error["loc"], error["type"], error.get("ctx", {})
+    keys, kind, context = origin.written(error["loc"]), error["type"], error.get("ctx", {})
     if kind == "extra_forbidden":
         known = LogPlan if keys[0] == "log" else SessionPlan
         problem = f"unknown key (known: {', '.join(known.model_fields)})"

@@ -102,25 +102,44 @@ class MarkerStatus:
 
 
 class Presence:
-    """Which markers are measured, since when, and how often they were not."""
+    """Which markers are measured, since when, and how often they were not.
+
+    imputed: samples of markers that were filled in. lost: poses of which nothing is known.
+    """
 
     def __init__(self, rows: Mapping[str, int]) -> None:
         """rows: where each marker is in a pose, by label."""
+        self.imputed = self.lost = 0
         self._labels = tuple(rows)
         self._rows = np.array([*rows.values()], int)
         self._states: npt.NDArray[np.uint8] | None = None
         self._since = np.zeros(len(rows))
         self._missing = np.zeros(len(rows), int)
+        # Of the provenance that was last: it is that of most poses to come.
+        self._known = b""
+        self._away = np.zeros(len(rows), bool)
+        self._imputed = 0
+        self._lost = False
 
     def add(self, provenance: npt.NDArray[np.uint8], now: float) -> None:
         """Counts a pose by its provenance (M,)."""
+        if (given := provenance.tobytes()) != self._known:
+            self._known = given
+            self._change(provenance, now)
+        if self._imputed or self._lost:
+            self._missing += self._away
+            self.imputed += self._imputed
+            self.lost += self._lost
+
+    def _change(self, provenance: npt.NDArray[np.uint8], now: float) -> None:
         states = provenance[self._rows]
         if self._states is None:
             self._since[:] = now
         else:
             self._since[states != self._states] = now
-        self._missing += states != Provenance.MEASURED
-        self._states = states
+        self._states, self._away = states, states != Provenance.MEASURED
+        self._imputed = int((provenance == Provenance.IMPUTED).sum())
+        self._lost = bool((provenance == Provenance.LOST).all())
 
     def markers(self, now: float) -> dict[str, MarkerStatus]:
         """By label, in the model's order; none before the first pose."""

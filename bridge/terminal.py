@@ -24,6 +24,7 @@ from drivers.errors import MarkerbridgeError
 
 LIVE_EVERY = 0.25  # s
 LATELY = 3.0  # s over which the dashboard's rates are told
+WORST = 16  # markers that are named at the end, those missing most
 LINE_EVERY = 5.0  # s, where the output is no terminal
 
 
@@ -153,16 +154,15 @@ def _facts(status: Status) -> Iterator[tuple[str, str]]:
     yield "poses out", f"{status.frames}"
     for name, words in (
         ("delay", "delay on the line"),
+        ("parse", "until it is read"),
         ("queue", "wait in the queue"),
         ("estimate", "age of the pose"),
     ):
         if status.ages[name].count:
             yield words, _ages(status.ages[name])
     share = status.imputed_samples / max(1, status.frames)
-    missing = {
-        label: at.missing / max(1, status.frames)
-        for label, at in sorted(status.markers.items(), key=lambda item: -item[1].missing)
-    }
+    most = sorted(status.markers.items(), key=lambda item: -item[1].missing)[:WORST]
+    missing = {label: at.missing / max(1, status.frames) for label, at in most}
     worst = ", ".join(f"{label} {part:.1%}" for label, part in missing.items() if part)
     each = f": {worst} of the time" if worst else ""
     yield "markers imputed", f"{status.imputed_samples}, {share:.2f} a frame{each}"

@@ -8,6 +8,7 @@ rest hangs, never fade: they are held.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
@@ -15,8 +16,22 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from bridge.humanoid.rotations import Array, dot, matrices, unit
+from bridge.compiled import compiled
 from bridge.humanoid.skeleton import BONES, PARENTS, Posture
+from bridge.vectors import (
+    QUATERNION,
+    Array,
+    Quaternion,
+    V,
+    Vector,
+    after,
+    blended,
+    minus,
+    opposite,
+    plus,
+    spun,
+    times,
+)
 from drivers.frame import Floats
 
 BLEND = 0.3  # s from shown as it is to wholly faded or held, and back
@@ -24,7 +39,8 @@ CERTAIN = 0.8  # of the threshold: what is in doubt is sure again below that
 
 Mask = npt.NDArray[np.bool_]
 
-_REST = np.array([0.0, 0.0, 0.0, 1.0])  # no rotation
+_REST = (0.0, 0.0, 0.0, 1.0)  # no rotation
+_UNTURNED = np.array([_REST], np.float32)
 
 
 class Policy(StrEnum):
@@ -52,23 +68,19 @@ class Caution:
 class Doubt:
     """How far each of some things is in doubt, from 0 to 1. `doubted`: which of them are."""
 
-    def __init__(self, threshold: float) -> None:
+    def __init__(self, threshold: float, count: int) -> None:
         self._threshold = threshold
-        self._t = 0.0
-        self._share: Array | None = None
-        self.doubted: Mask = np.zeros(0, bool)
+        self._t = math.inf
+        self._share = np.full(count, np.nan)
+        self.doubted: Mask = np.zeros(count, bool)
 
     def step(self, t: float, sigma: Floats) -> Array:
-        """The shares (N,) at a pose's time; what is in doubt at the first is so wholly."""
-        if self._share is None:
-            self.doubted = ~(sigma <= self._threshold)
-            self._share = self.doubted.astype(float)
-        else:
-            bound = np.where(self.doubted, CERTAIN * self._threshold, self._threshold)
-            self.doubted = ~(sigma <= bound)  # a NaN is in doubt
-            step = max(0.0, t - self._t) / BLEND
-            self._share = np.clip(self._share + np.where(self.doubted, step, -step), 0.0, 1.0)
+        """The shares (N,) at a pose's time; what is in doubt at the first is so wholly.
+        Overwritten by the next call.
+        """
+        step = max(0.0, t - self._t) / BLEND
         self._t = t
+        _step(sigma, self._threshold, step, self._share, self.doubted)
         return self._share
 
 
@@ -85,27 +97,26 @@ class Bones:
 
     def __init__(self, caution: Caution) -> None:
         self._policy = caution.policy
-        self._hips = _Hips(caution.threshold)
-        self._doubt = Doubt(caution.threshold)
-        self._kept = np.tile(_REST, (len(BONES), 1))
+        self._doubt = Doubt(caution.threshold, len(BONES))
         self._all = np.ones(len(BONES), bool)
+        self._hips = np.full((1, 3), np.nan, np.float32)  # as they last were surely
+        self._kept = np.tile(_UNTURNED, (len(BONES), 1))  # what doubt leads to
 
     def __call__(self, t: float, posture: Posture) -> ShownBones:
         if self._policy is Policy.SHOW:
             return ShownBones(posture.joints[0], posture.local, self._all)
-        hips, turn = self._hips(t, posture)
-        share = self._doubt.step(t, posture.sigma)
-        local, shown = posture.local.astype(float), self._all
+        hips, local = np.empty_like(posture.joints[:1]), np.empty_like(posture.local)
+        _lead(
+            self._policy is Policy.HOLD,
+            *(posture.joints, posture.local, self._doubt.step(t, posture.sigma)),
+            *(self._hips, self._kept, hips, local),
+        )
+        shown = self._all
         if self._policy is Policy.HIDE:
+            local[1:] = posture.local[1:]
             shown = ~self._doubt.doubted
             shown[0] = True
-        elif self._policy is Policy.FADE:
-            local = _blended(local, _REST, share[:, None])
-        else:
-            self._kept[share == 0] = local[share == 0]
-            local = _blended(local, self._kept, share[:, None])
-        local[0] = turn
-        return ShownBones(hips.astype(np.float32), local.astype(np.float32), shown)
+        return ShownBones(hips[0], local, shown)
 
 
 class ShownPoints(NamedTuple):
@@ -125,94 +136,153 @@ class Points:
     """
 
     def __init__(self, caution: Caution, bones: list[int]) -> None:
+        count = len(bones)
         self._policy = caution.policy
         self._moves = caution.moves
-        self._bones = bones
-        self._hips = _Hips(caution.threshold)
-        self._doubt = Doubt(caution.threshold)
-        self._all = np.ones(len(bones), bool)
-        self._unturned = np.tile(_REST.astype(np.float32), (len(bones), 1))
-        # As they last were surely: on their bones, and in the hips' axes.
-        self._on_bone: Array | None = None
-        self._place = np.full((len(bones), 3), np.nan)
-        self._turn = np.tile(_REST, (len(bones), 1))
+        self._bones = np.array(bones, np.int64)
+        self._doubt = Doubt(caution.threshold, count)
+        self._doubt_of_hips = Doubt(caution.threshold, 1)
+        self._all = np.ones(count, bool)
+        self._unturned = np.tile(_UNTURNED, (count, 1))
+        # As they last were surely: the hips; on their bones; in the hips' axes, and turned so.
+        self._hips = np.full((1, 3), np.nan, np.float32)
+        self._turn = _UNTURNED.copy()
+        self._on_bone = np.full((count, 3), np.nan, np.float32)
+        self._places = np.full((count, 3), np.nan, np.float32)
+        self._turns = self._unturned.copy()
+        self._joints = np.zeros((len(BONES), 3), np.float32)  # from the hips in the rest pose
 
     def __call__(
         self, t: float, xyz: Floats, sigma: Floats, posture: Posture | None
     ) -> ShownPoints:
-        turns = self._unturned if posture is None else posture.rotations[self._bones]
+        turns = self._unturned if posture is None else posture.rotations.take(self._bones, 0)
         if self._policy is Policy.HIDE:
             self._doubt.step(t, sigma)
             return ShownPoints(xyz, turns, ~self._doubt.doubted)
         if posture is None or not self._moves:
             return ShownPoints(xyz, turns, self._all)
-        hips, turn = self._hips(t, posture)
-        share = self._doubt.step(t, sigma)[:, None]
-        places, rotations = self._kept(xyz, turns, share[:, 0] == 0, posture, hips, turn)
-        xyz = (xyz + share * (hips + places @ matrices(turn).T - xyz)).astype(np.float32)
-        turned = _blended(turns.astype(float), _product(turn, rotations), share)
-        return ShownPoints(xyz, turned.astype(np.float32), self._all)
-
-    def _kept(
-        self,
-        xyz: Floats,
-        turns: Floats,
-        sure: Mask,
-        posture: Posture,
-        hips: Array,
-        turn: Array,
-    ) -> tuple[Array, Array]:
-        """Where they are to go, in the hips' axes, and how turned; takes in what is sure now."""
-        axes = matrices(posture.rotations.astype(float))[self._bones]
-        on_bone = np.einsum("nji,nj->ni", axes, xyz - posture.joints[self._bones])
-        if self._on_bone is None:
-            self._on_bone = on_bone
-        self._on_bone[sure] = on_bone[sure]
-        rest = (_FROM_HIPS @ posture.rest)[self._bones] + self._on_bone
-        if self._policy is Policy.FADE:
-            return rest, np.broadcast_to(_REST, turns.shape)
-        self._place[sure] = ((xyz - hips) @ matrices(turn))[sure]
-        self._turn[sure] = _product(turn * [-1, -1, -1, 1], turns.astype(float))[sure]
-        return np.where(np.isnan(self._place), rest, self._place), self._turn
+        shown_xyz, shown_turns = np.empty(xyz.shape, np.float32), np.empty_like(turns)
+        _move(
+            self._policy is Policy.HOLD,
+            *(xyz, turns, self._bones, posture.joints, posture.rotations, posture.rest),
+            *(self._doubt_of_hips.step(t, posture.sigma[:1]), self._doubt.step(t, sigma)),
+            *(self._hips, self._turn, self._on_bone, self._places, self._turns, self._joints),
+            *(shown_xyz, shown_turns),
+        )
+        return ShownPoints(shown_xyz, shown_turns, self._all)
 
 
-class _Hips:
-    """Place (3,) and rotation (4,) of the hips, held while they are in doubt."""
-
-    def __init__(self, threshold: float) -> None:
-        self._doubt = Doubt(threshold)
-        self._kept: tuple[Array, Array] | None = None
-
-    def __call__(self, t: float, posture: Posture) -> tuple[Array, Array]:
-        share = self._doubt.step(t, posture.sigma[:1])
-        now = posture.joints[0].astype(float), posture.rotations[0].astype(float)
-        if self._kept is None or share[0] == 0:
-            self._kept = now
-        place, turn = self._kept
-        return now[0] + share * (place - now[0]), _blended(now[1], turn, share)
+@compiled(f"{V}(f4[:,:], i8)")
+def _place(rows: Floats, row: int) -> Vector:
+    return float(rows[row, 0]), float(rows[row, 1]), float(rows[row, 2])
 
 
-def _blended(start: Array, end: Array, share: Array) -> Array:
-    """Unit quaternions (..., 4) a share of the way to others, the shorter way round."""
-    same = dot(start, end) >= 0
-    return unit(start + share * (np.where(same, end, -end) - start))
+@compiled(f"void(f4[:,::1], i8, {V})")
+def _put_place(rows: Floats, row: int, place: Vector) -> None:
+    rows[row, 0], rows[row, 1], rows[row, 2] = place
 
 
-def _product(first: Array, second: Array) -> Array:
-    """The rotation (4,) applied after the rotations (..., 4)."""
-    x, y, z, w = first
-    left = np.array([[w, -z, y, x], [z, w, -x, y], [-y, x, w, z], [-x, -y, -z, w]])
-    found: Array = second @ left.T
-    return found
+@compiled(f"{QUATERNION}(f4[:,::1], i8)")
+def _turn(rows: Floats, row: int) -> Quaternion:
+    return float(rows[row, 0]), float(rows[row, 1]), float(rows[row, 2]), float(rows[row, 3])
 
 
-def _from_hips() -> Array:
-    """(B, B): which bones' `rest` lead from the hips to each joint."""
-    paths = np.zeros((len(BONES), len(BONES)))
-    for row in range(1, len(BONES)):
-        paths[row] = paths[PARENTS[row]]
-        paths[row, row] = 1.0
-    return paths
+@compiled(f"void(f4[:,::1], i8, {QUATERNION})")
+def _put_turn(rows: Floats, row: int, turn: Quaternion) -> None:
+    rows[row, 0], rows[row, 1], rows[row, 2], rows[row, 3] = turn
 
 
-_FROM_HIPS = _from_hips()
+@compiled("void(f4[:], f8, f8, f8[::1], b1[::1])")
+def _step(sigma: Floats, threshold: float, step: float, share: Array, doubted: Mask) -> None:
+    for i in range(len(share)):
+        bound = CERTAIN * threshold if doubted[i] else threshold
+        doubted[i] = not sigma[i] <= bound  # a NaN is in doubt
+        if math.isnan(share[i]):
+            share[i] = 1.0 if doubted[i] else 0.0
+        elif doubted[i]:
+            share[i] = min(share[i] + step, 1.0)
+        else:
+            share[i] = max(share[i] - step, 0.0)
+
+
+@compiled(f"Tuple(({V}, {QUATERNION}))(f4[:,::1], f4[:,::1], f8, f4[:,::1], f4[:,::1])")
+def _held(
+    joints: Floats, rotations: Floats, share: float, hips: Floats, turn: Floats
+) -> tuple[Vector, Quaternion]:
+    """Place and rotation of the hips, held while they are in doubt. hips, turn: as they last were
+    surely, in the first row.
+    """
+    if share == 0.0 or math.isnan(hips[0, 0]):
+        hips[0] = joints[0]
+        turn[0] = rotations[0]
+    now = _place(joints, 0)
+    place = plus(now, times(share, minus(_place(hips, 0), now)))
+    return place, blended(_turn(rotations, 0), _turn(turn, 0), share)
+
+
+@compiled("void(b1, f4[:,::1], f4[:,::1], f8[::1], f4[:,::1], f4[:,::1], f4[:,::1], f4[:,::1])")
+def _lead(
+    holds: bool,
+    joints: Floats,
+    local: Floats,
+    share: Array,
+    hips: Floats,
+    kept: Floats,
+    shown_hips: Floats,
+    shown_local: Floats,
+) -> None:
+    """Bones on their way to where doubt leads them; the hips are always held."""
+    place, turn = _held(joints, local, share[0], hips, kept)
+    _put_place(shown_hips, 0, place)
+    _put_turn(shown_local, 0, turn)
+    for bone in range(1, len(local)):
+        now = _turn(local, bone)
+        if holds and share[bone] == 0.0:
+            _put_turn(kept, bone, now)
+        _put_turn(shown_local, bone, blended(now, _turn(kept, bone), share[bone]))
+
+
+@compiled(
+    "void(b1, f4[:,:], f4[:,::1], i8[::1], f4[:,::1], f4[:,::1], f4[:,::1], f8[::1], f8[::1],"
+    "f4[:,::1], f4[:,::1], f4[:,::1], f4[:,::1], f4[:,::1], f4[:,::1], f4[:,::1], f4[:,::1])"
+)
+def _move(
+    holds: bool,
+    xyz: Floats,
+    turns: Floats,
+    bones: npt.NDArray[np.int64],
+    joints: Floats,
+    rotations: Floats,
+    rest: Floats,
+    share_of_hips: Array,
+    share: Array,
+    hips: Floats,
+    turn_of_hips: Floats,
+    on_bone: Floats,
+    places: Floats,
+    kept_turns: Floats,
+    from_hips: Floats,
+    shown_xyz: Floats,
+    shown_turns: Floats,
+) -> None:
+    """Points on their way to where doubt leads them; what is sure is taken in."""
+    origin, turn = _held(joints, rotations, share_of_hips[0], hips, turn_of_hips)
+    for bone in range(1, len(rest)):
+        _put_place(from_hips, bone, plus(_place(from_hips, PARENTS[bone]), _place(rest, bone)))
+    for i in range(len(xyz)):
+        bone, place, now = bones[i], _place(xyz, i), _turn(turns, i)
+        sure = share[i] == 0.0
+        if sure or math.isnan(on_bone[i, 0]):
+            back = opposite(_turn(rotations, bone))
+            _put_place(on_bone, i, spun(back, minus(place, _place(joints, bone))))
+        goal, goal_turn = plus(_place(from_hips, bone), _place(on_bone, i)), _REST
+        if holds:
+            if sure:
+                _put_place(places, i, spun(opposite(turn), minus(place, origin)))
+                _put_turn(kept_turns, i, after(opposite(turn), now))
+            if not math.isnan(places[i, 0]):
+                goal = _place(places, i)
+            goal_turn = _turn(kept_turns, i)
+        way = minus(plus(origin, spun(turn, goal)), place)
+        _put_place(shown_xyz, i, plus(place, times(share[i], way)))
+        _put_turn(shown_turns, i, blended(now, after(turn, goal_turn), share[i]))

@@ -46,6 +46,13 @@ class Frame:
         return bool(np.linalg.det(self.turn) < 0)
 
     @cached_property
+    def spin(self) -> Floats:
+        """(3,): signs of a rotation's axis along our x, y and z there: the axis goes with the
+        world, and where that is left-handed, turning about it is the other way round.
+        """
+        return np.sign(self.scale) * np.float32(-1.0 if self.left_handed else 1.0)
+
+    @cached_property
     def _is_ours(self) -> bool:
         return self.axes == "x,y,z" and self.unit == 1.0
 
@@ -59,10 +66,8 @@ class Frame:
         return xyz if self._is_ours else (xyz / self.scale)[..., np.argsort(self.order)]
 
     def rotations_from_ours(self, quaternions: Floats) -> Floats:
-        """(..., 4) unit quaternions x, y, z, w of ours as theirs: the axis goes with the world, and
-        where that is left-handed, turning about it is the other way round.
-        """
-        axis = quaternions[..., :3] * (np.sign(self.scale) * (-1.0 if self.left_handed else 1.0))
+        """(..., 4) unit quaternions x, y, z, w of ours as theirs."""
+        axis = quaternions[..., :3] * self.spin
         return np.concatenate([axis[..., np.argsort(self.order)], quaternions[..., 3:]], axis=-1)
 
 

@@ -28,6 +28,11 @@ def numbered(path: Path, number: int) -> Path:
     return path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}")
 
 
+def of_performer(path: Path, performer: str) -> Path:
+    """The name of one performer's recording: `out-ann.c3d`; as it is where there is one alone."""
+    return path.with_name(f"{path.stem}-{performer}{path.suffix}") if performer else path
+
+
 def write_whole(path: Path, content: bytes) -> None:
     """Writes a file whole or not at all. Raises MarkerbridgeError where that cannot be."""
     try:

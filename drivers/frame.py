@@ -67,6 +67,7 @@ class MarkerFrame:
     host's monotonic clock at receipt. t_device: seconds on the device's clock; NaN where it sends
     none. xyz: (M, 3) float32 metres, in the order of layout.labels, NaN rows where a marker is
     missing. t_mapped: t_device on the host's clock, as near as can be told; `t` without a stamp.
+    t_parsed: seconds on the host's clock when it was read; NaN where nothing had to be.
     """
 
     index: int
@@ -75,6 +76,7 @@ class MarkerFrame:
     layout: Layout
     xyz: Floats
     t_mapped: float = math.nan
+    t_parsed: float = math.nan
 
     def ordered(self, labels: Sequence[str]) -> Floats:
         """The markers (M, 3) of `labels`, in their order; NaN where there is none."""
@@ -105,6 +107,11 @@ class Source(ABC):
     @abstractmethod
     def _receive(self, timeout: float) -> Iterable[MarkerFrame] | None:
         """Waits at most `timeout` seconds for input; the frames it completed, None for no input."""
+
+    @property
+    def ready(self) -> bool:
+        """Whether `read` has another frame at once."""
+        return bool(self._ready)
 
     @property
     def labels(self) -> tuple[str, ...]:

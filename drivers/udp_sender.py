@@ -35,8 +35,8 @@ class UdpSender:
         self.limit = LOOPBACK if ipaddress.ip_address(address[0]).is_loopback else ETHERNET
 
     def send(self, datagram: bytes | bytearray) -> None:
-        """Raises OSError where the system refuses it."""
-        self._socket.sendto(datagram, self._address)
+        """Raises OSError where the system refuses it, and where it would have to wait."""
+        self._socket.sendto(datagram, socket.MSG_DONTWAIT, self._address)
 
     def close(self) -> None:
         self._socket.close()

@@ -80,6 +80,11 @@ class Url:
         written += [f"{quote(name)}={quote(value, safe=_PLAIN)}" for name, value in options.items()]
         return Url.parse(f"{head}?{'&'.join(written)}" if written else head)
 
+    def without(self, *names: str) -> Url:
+        """This address without some options."""
+        kept = {name: value for name, value in self.options.items() if name not in names}
+        return self if kept == self.options else Url.parse(short(self.text)).adding(kept)
+
     def take(self, name: str, default: T, read: Callable[[str], T]) -> T:
         """Option `name` through `read`, or `default`. UrlError where `read` raises ValueError."""
         self.known.append(name)
@@ -92,6 +97,11 @@ class Url:
             raise UrlError(
                 f"'{self.text}': option {name}={raw} is wrong: {error}", name, f"'{raw}': {error}"
             ) from None
+
+    def take_path(self) -> str:
+        """What stands behind HOST:PORT, without slashes around it; empty where nothing does."""
+        path, self.path = self.path.strip("/"), ""
+        return path
 
     def address(self, default_port: int | None = None) -> tuple[str, int]:
         """Host and port; UrlError where the port is needed and missing, or something else is there.

@@ -135,6 +135,7 @@ class WireSource(Source):
         if self._foreign and self.clock.now() >= self._settled_at:
             self._tell_lacking(self._foreign)
         finished = []
+        parsed = self.clock.now()
         for frame in frames:
             if frame.layout is not self._foreign:  # the last before a change
                 self._adopt(frame.layout)
@@ -149,7 +150,7 @@ class WireSource(Source):
                 xyz = np.where(there, xyz, np.float32(np.nan))
             mapped = self.clock_map.map(frame.t, frame.t_device)
             finished.append(
-                MarkerFrame(frame.index, frame.t, frame.t_device, self.layout, xyz, mapped)
+                MarkerFrame(frame.index, frame.t, frame.t_device, self.layout, xyz, mapped, parsed)
             )
         return finished
 

@@ -29,6 +29,7 @@ from simulators.faults.chain import FaultChain
 from simulators.faults.plan import FaultPlan, read_plan
 from simulators.lines import PtyLine, UdpLine
 from simulators.performer import load_performer
+from simulators.several import labels_of, parse_names, side_by_side
 
 _APART = 0.05  # m between the markers by which names are told
 _SEVERAL = 8  # frames after which a host has learnt the names of a wire
@@ -41,6 +42,11 @@ def main(argv: list[str], tracked_markers: Callable[[str], tuple[str, ...]]) -> 
     options = _parser().parse_args(argv)
     layout, poses = open_poses(options.source, loop=options.loop)
     labels = _chosen(options.markers, options.model, layout, tracked_markers)
+    if options.performers:
+        if options.truth:
+            raise UsageError("--truth is for one performer: leave out --performers")
+        labels = labels_of(labels, options.performers)
+        layout, poses = side_by_side(layout, poses, options.performers)
     if options.seconds is not None:
         poses = itertools.islice(poses, round(options.seconds * layout.rate))
     plan = read_plan(Path(options.faults), labels) if options.faults else FaultPlan()
@@ -207,6 +213,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     add("--model", default="default", help="whose tracked markers are sent (default: %(default)s)")
     add("--markers", metavar="A,B,...|all", help="the markers to send, in place of the model's")
+    add(
+        "--performers",
+        type=checked(parse_names),
+        metavar="A,B,...",
+        help="several performers in one stream, side by side, with labels A:LFHD and so on",
+    )
     add_fault_options(parser)
     add("--faults", metavar="FILE", help="what goes wrong, and when (TOML; its seed, or --seed)")
     add(

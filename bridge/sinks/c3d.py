@@ -9,7 +9,7 @@ import numpy as np
 from bridge.pose import Pose, Provenance
 from bridge.sinks.sink import Sink, SinkContext, SinkError
 from drivers.c3d_file import MAX_FRAMES, write_c3d
-from drivers.files import numbered
+from drivers.files import numbered, of_performer
 from drivers.frame import Floats, Layout
 from drivers.url import Url
 
@@ -34,7 +34,7 @@ class C3dSink(Sink):
     def __init__(self, url: Url, context: SinkContext) -> None:
         """Raises SinkError where the file could not be written later."""
         self.name = url.text
-        self._path = Path(url.file_path())
+        self._path = of_performer(Path(url.file_path()), context.performer)
         url.finish()
         if self._path.is_dir():
             raise SinkError(f"cannot write {self._path}: it is a folder")

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from bridge.pose import Pose
 from bridge.sinks.sink import Input, Sink, SinkContext, SinkError
-from drivers.files import numbered
+from drivers.files import numbered, of_performer
 from drivers.frame import Layout
 from drivers.session_log import Entry, LoggedPose, LogWriter
 from drivers.url import Url
@@ -31,7 +31,7 @@ class LogSink(Sink):
     def __init__(self, url: Url, context: SinkContext) -> None:
         """Raises SinkError where the file cannot be written."""
         self.name = url.text
-        path = Path(url.file_path())
+        path = of_performer(Path(url.file_path()), context.performer)
         url.finish()
         if path.exists() and not path.is_file():
             raise SinkError(f"cannot write {path}: it is a folder, or no ordinary file")

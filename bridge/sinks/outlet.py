@@ -42,6 +42,7 @@ class Outlet:
         self._queue: deque[Pose | Input] = deque()
         self._wake = threading.Condition()
         self._closing = False
+        self._delivering = False  # a pose is with the outlet's own thread
         self._unwanted = False
         self._thread: threading.Thread | None = None
         self._tokens = self._most = max(1.0, sink.rate * BURST)
@@ -63,6 +64,9 @@ class Outlet:
                 self._deliver(pose)
             return
         with self._wake:
+            if self._at_once():
+                self._deliver(pose)
+                return
             self._queue.append(pose)
             if self.sink.waiting is not None and len(self._queue) > self.sink.waiting:
                 self._queue.popleft()
@@ -97,8 +101,10 @@ class Outlet:
     def _work(self) -> None:
         while True:
             with self._wake:
+                self._delivering = False
                 while not self._queue and not self._closing:
                     self._wake.wait()
+                self._delivering = bool(self._queue)
                 if not self._queue:
                     return
                 pose = self._queue.popleft()
@@ -112,6 +118,13 @@ class Outlet:
                         pose = self._queue.pop() if self._queue else pose
                         self._queue.clear()
             self._deliver(pose)
+
+    def _at_once(self) -> bool:
+        """Whether a pose is delivered on the thread that brings it: that costs less than to wake up
+        another. Nothing may wait before it.
+        """
+        free = self.sink.prompt and not (self._queue or self._delivering)
+        return free and self._wait_for_token() <= 0.0
 
     @property
     def _too_fast(self) -> bool:

@@ -34,12 +34,14 @@ class SinkContext:
 
     truth: the true pose (M, 3) of a frame index where the simulator sent it, else None. rate: the
     stream's, in Hz; set when its layout is known. model: its file; set when the session begins.
+    performer: whose poses they are; empty where there is one alone.
     """
 
     info: ModelInfo
     truth: Callable[[int], Floats | None]
     rate: float = 120.0
     model: Path | None = None
+    performer: str = ""
 
 
 class Sink(ABC):
@@ -48,7 +50,8 @@ class Sink(ABC):
     waiting: how many poses may wait for it before the oldest is dropped (and counted); None: any
     number, nothing is dropped. rate: most poses a second; beyond it the newest wins. 0: no limit.
     records: whether it is also told all that comes in, by `record`. wants_posture: whether its
-    poses are to have one.
+    poses are to have one. prompt: a call never waits for anything, so it may be made on the thread
+    that estimates. one_body: who receives it knows of one performer alone.
     """
 
     name: str
@@ -56,6 +59,8 @@ class Sink(ABC):
     rate: float = 0.0
     records: bool = False
     wants_posture: bool = False
+    prompt: bool = False
+    one_body: bool = False
 
     @abstractmethod
     def __call__(self, pose: Pose) -> None:

@@ -19,6 +19,7 @@ class ViewSink(Sink):
     """
 
     name = "view"
+    one_body = True
     waiting = 12  # so that a busy machine drops none
 
     def __init__(self, url: Url, context: SinkContext) -> None:

@@ -21,7 +21,7 @@ from pathlib import Path
 from unittest.mock import patch
 
 from bridge.model import Model, ModelInfo
-from bridge.opening import open_session
+from bridge.opening import open_stage
 from bridge.session import Status
 from bridge.session_file import plan_session
 from bridge.view import live
@@ -72,9 +72,9 @@ def session(
         stack.enter_context(running(*command, "--noise", "1mm", "--drop", "5%"))
         wait_for(port.exists, "the simulator")
         stop = threading.Event()
-        bridge = stack.enter_context(open_session(plan, Model("default"), stop))
+        bridge = stack.enter_context(open_stage(plan, Model("default"), stop))
         if stopped:
-            sink = bridge._outlets[0].sink
+            sink = bridge.sessions[""].outlets[0].sink
             os.kill(sink._process.pid, signal.SIGSTOP)
         bridge.run(stop, seconds)
         status = bridge.status()

@@ -12,8 +12,10 @@ import pytest
 from bridge.estimator import PoseEstimator
 from bridge.model import Model
 from bridge.pose import Pose, Provenance
+from bridge.regression import Estimate
 from bridge.session import Session
 from bridge.sinks.sink import Input, Sink, SinkContext, SinkError
+from bridge.stage import Stage
 from bridge.terminal import line
 from bridge.truth import Truth
 from drivers.c3d_file import C3dSource, Clip
@@ -80,7 +82,7 @@ def test_a_file_is_handled_whole_however_fast_it_comes(tmp_path) -> None:
     clip = Clip(tmp_path, LAYOUT, np.broadcast_to(STANDING, (3000, 9, 3)))
     keep = Keep()
     running = session(C3dSource("c3d:x", clip, SYSTEM_CLOCK, float("inf")), keep)
-    running.run(threading.Event())
+    Stage.of(running).run(threading.Event())
     running.close()
     assert keep.indices == list(range(3000))
     assert keep.closed == 1
@@ -90,7 +92,7 @@ def test_a_file_is_handled_whole_however_fast_it_comes(tmp_path) -> None:
 def test_a_live_stream_that_overflows_loses_its_oldest_and_counts_them() -> None:
     keep = Keep()
     running = session(Flood(3000), keep)
-    running.run(threading.Event())
+    Stage.of(running).run(threading.Event())
     running.close()
     status = running.status()
     assert keep.indices[-1] == 2999
@@ -104,7 +106,7 @@ def test_what_the_source_raises_comes_out_after_what_it_delivered(error: Excepti
     keep = Keep()
     running = session(Flood(50, error), keep)
     with pytest.raises(type(error), match=str(error)):
-        running.run(threading.Event())
+        Stage.of(running).run(threading.Event())
     running.close()
     assert keep.indices == list(range(50))
 
@@ -121,7 +123,7 @@ def test_a_stop_ends_it_with_everything_delivered() -> None:
     source = Endless(0)
     running = session(source, keep)
     threading.Timer(0.3, stop.set).start()
-    running.run(stop)
+    Stage.of(running).run(stop)
     running.close()
     assert keep.indices == list(range(1, len(keep.indices) + 1))
     assert len(keep.indices) == source.counters["frames"] > 5
@@ -135,7 +137,7 @@ def test_one_sink_that_cannot_save_does_not_keep_the_others_from_it() -> None:
 
     keep = Keep()
     running = session(Flood(5), Full(), keep)
-    running.run(threading.Event())
+    Stage.of(running).run(threading.Event())
     with pytest.raises(SinkError, match="No space left"):
         running.close()
     assert keep.closed == 1
@@ -150,7 +152,7 @@ def test_frames_that_never_came_are_those_that_the_source_counts() -> None:
             return [frame for frame in frames if frame.index not in (7, 8, 20)]
 
     running = session(Holed(40))
-    running.run(threading.Event())
+    Stage.of(running).run(threading.Event())
     assert running.status().missing_indices == 3
     running.close()
 
@@ -198,9 +200,9 @@ def test_every_hop_is_accounted_for_to_the_microsecond() -> None:
             clock.sleep_until(clock.now() + 0.001)
 
     class Thinking(PoseEstimator):
-        def step(self, frame: MarkerFrame) -> Pose:
+        def finish(self, frame: MarkerFrame, estimate: Estimate) -> Pose:
             clock.sleep_until(clock.now() + 0.002)
-            return super().step(frame)
+            return super().finish(frame, estimate)
 
     context = SinkContext(MODEL.info, lambda index: None)
     running = Session(Flood(0), Thinking(MODEL), [Slow(), Named("second")], context, clock=clock)
@@ -341,7 +343,7 @@ def test_engines_are_told_when_no_frame_comes_and_recorders_are_not(monkeypatch)
 
     engine, recorder = Engine(), Named("recorder")
     running = session(Stalling(0), engine, recorder)
-    running.run(threading.Event())
+    Stage.of(running).run(threading.Event())
     running.close()
     assert engine.indices == recorder.indices == list(range(20))
     assert {pose.index for pose in engine.lost} == {9}
@@ -373,7 +375,7 @@ def test_what_records_is_told_every_frame_even_those_that_overflow() -> None:
 
     record = Record()
     running = session(Flood(3000), record)
-    running.run(threading.Event())
+    Stage.of(running).run(threading.Event())
     running.close()
     overflow = running.status().source["fifo_overflow"]
     assert overflow > 0

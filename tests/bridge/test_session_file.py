@@ -27,8 +27,8 @@ def read(file: Path, text: str) -> SessionPlan:
 
 def test_a_session_file_of_one_line_is_enough(file: Path) -> None:
     plan = read(file, 'source = "serial:/dev/ttyUSB0"')
-    assert plan.source.address == "serial:/dev/ttyUSB0"
-    assert plan.model_dump() == plan_session({"source": plan.source.url}).model_dump()
+    assert plan.source[0].address == "serial:/dev/ttyUSB0"
+    assert plan.model_dump() == plan_session({"source": plan.source[0].url}).model_dump()
     assert (plan.model, plan.sinks, plan.wait, plan.seconds) == ("default", [], False, None)
     assert plan.folder == file.parent
 
@@ -45,7 +45,7 @@ def test_what_a_source_table_says_are_the_options_of_its_address(file: Path) -> 
         labels = { Hand_L = "LWRB", "the & other=hand" = "RWRB" }
         """,
     )
-    url = Url.parse(plan.source.address)
+    url = Url.parse(plan.source[0].address)
     assert url.options == {
         "dialect": "native",
         "axes": "x,-z,y",
@@ -53,8 +53,8 @@ def test_what_a_source_table_says_are_the_options_of_its_address(file: Path) -> 
         "reorder": "2",
         "labels": "Hand_L:LWRB,the & other=hand:RWRB",
     }
-    with open_source(plan.source.address) as source:
-        assert source.name == plan.source.address
+    with open_source(plan.source[0].address) as source:
+        assert source.name == plan.source[0].address
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_what_is_no_text_or_not_there_is_named(tmp_path: Path, file: Path) -> No
 def test_an_address_that_is_wrong_is_named_by_its_line(file: Path, source: str, words: str) -> None:
     plan = read(file, f"# mine\nsource = {source}")
     with pytest.raises(UsageError) as caught, plan.naming("source"):
-        open_source(plan.source.address)
+        open_source(plan.source[0].address)
     assert str(caught.value).startswith(f"{file}{words}")
 
 
@@ -146,16 +146,16 @@ def test_an_address_of_the_command_line_is_named_as_it_is() -> None:
     plan = plan_session({"source": "morse:x"})
     assert plan.folder is None
     with pytest.raises(UsageError, match=r"^'morse:x' is no source"), plan.naming("source"):
-        open_source(plan.source.address)
+        open_source(plan.source[0].address)
 
 
 def test_the_documented_example_has_every_key_and_its_source_opens(file: Path) -> None:
     plan = read(file, EXAMPLE)
     assert plan.model_fields_set == set(SessionPlan.model_fields)
     assert plan.log.model_fields_set == set(LogPlan.model_fields)
-    assert Url.parse(plan.source.url).scheme in SOURCES
+    assert Url.parse(plan.source[0].url).scheme in SOURCES
     assert {Url.parse(sink).scheme for sink in plan.sinks} <= set(SINKS)
-    free = plan.source.address.replace("0.0.0.0:9100", "127.0.0.1:0")
+    free = plan.source[0].address.replace("0.0.0.0:9100", "127.0.0.1:0")
     with open_source(free) as source:
         assert source.name == free
 

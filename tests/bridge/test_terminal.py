@@ -226,7 +226,7 @@ def test_all_of_it_is_in_the_json(troubled) -> None:
     assert (sink["sent"], sink["errors"]) == (891, 59)
     assert sink["last_error"] == "Network is unreachable"
     assert set(sink["age"]) == {"count", "now", "worst", "p50", "p99", "max"}
-    assert set(found["ages"]) == {"delay", "queue", "estimate"}
+    assert set(found["ages"]) == {"delay", "parse", "queue", "estimate"}
 
 
 def test_a_line_is_short_and_tells_what_matters(troubled, healthy) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from bridge.estimator import PoseEstimator
 from bridge.model import Model
 from bridge.session import Session
+from bridge.stage import Stage
 from bridge.sinks.registry import open_sink
 from bridge.sinks.sink import SinkContext
 from drivers.clock import VirtualClock
@@ -84,7 +85,7 @@ def test_what_went_wrong_on_a_line_goes_wrong_again_frame_by_frame(tmp_path: Pat
     sinks = [open_sink(f"log:{path}", context), live]
     session = Session(source, PoseEstimator(MODEL), sinks, context)
     stop = threading.Event()
-    running = threading.Thread(target=session.run, args=(stop,))
+    running = threading.Thread(target=Stage.of(session).run, args=(stop,))
     running.start()
     try:
         tracker.answer()

@@ -1,0 +1,66 @@
+"""Who is in a stream: one performer, or several whose labels begin with their names."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import replace
+
+from bridge.session import Backlog, Session
+from drivers.frame import Layout, MarkerFrame, Rows, Source
+
+log = logging.getLogger(__name__)
+
+Part = tuple[Session, MarkerFrame]
+
+
+class Cast:
+    """A source, and the sessions of the performers in it.
+
+    sessions: by performer; of a performer whom the source shows alone, all labels are theirs. Of
+    several, `ann:LFHD` is ann's LFHD.
+    """
+
+    def __init__(self, source: Source, sessions: Mapping[str, Session], *, alone: bool) -> None:
+        self.source = source
+        self.sessions = dict(sessions)
+        self.backlog = Backlog()
+        for session in self.sessions.values():
+            session.backlog = self.backlog
+        self._alone = next(iter(self.sessions.values())) if alone else None
+        self._layout: Layout | None = None
+        self._parts: list[tuple[Session, Layout, Rows]] = []
+
+    def parts(self, frame: MarkerFrame) -> list[Part]:
+        """Each performer's own part of a frame, where the stream has any of it."""
+        if self._alone is not None:
+            return [(self._alone, frame)]
+        if frame.layout is not self._layout:
+            self._adopt(frame.layout)
+        return [
+            (session, replace(frame, layout=layout, xyz=frame.xyz[rows]))
+            for session, layout, rows in self._parts
+        ]
+
+    def record(self, frame: MarkerFrame) -> None:
+        """Tells the sinks that record of a frame that is not estimated."""
+        for session, part in self.parts(frame):
+            session.record(part)
+
+    def _adopt(self, layout: Layout) -> None:
+        self._layout, self._parts = layout, []
+        others = {label.partition(":")[0] for label in layout.labels} - set(self.sessions)
+        for name, session in self.sessions.items():
+            head = f"{name}:"
+            own = [label for label in layout.labels if label.startswith(head)]
+            if own:
+                labels = tuple(label.removeprefix(head) for label in own)
+                _, rows = layout.places(own)
+                self._parts.append((session, Layout(labels, layout.rate), rows))
+            else:
+                log.warning("%s: the stream has no markers of %s", self.source.name, name)
+        if others:
+            log.warning(
+                "%s: the option performers names %s; the stream has others' labels, too: %s",
+                *(self.source.name, ", ".join(self.sessions), ", ".join(sorted(others)[:8])),
+            )

@@ -1,0 +1,224 @@
+"""The run loop: sources on the one side, the sessions of performers on the other.
+
+The threads that frames travel on are here and in the sinks' outlets. A frame is taken through at
+once by the thread that read it, as long as none waits: to hand it over costs as much as to estimate
+it. What comes faster than that waits for the loop's own thread.
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from itertools import chain
+from typing import TypeVar
+
+from bridge.cast import Cast, Part
+from bridge.estimator import Jointly
+from bridge.session import Session, Status
+from bridge.sinks.sink import SinkError
+from bridge.statistics import Ages
+from drivers.clock import SYSTEM_CLOCK, Clock
+from drivers.frame import MarkerFrame
+
+T = TypeVar("T")
+
+FIFO = 1.0  # s of frames that may wait for the estimator
+POLL = 0.1  # s between looks at whether to stop
+SWITCH = 0.0005  # s that a thread which tells of a session may keep a frame waiting
+
+
+class Stage:
+    """Sessions that run together, and their sources."""
+
+    def __init__(self, casts: Sequence[Cast], *, clock: Clock = SYSTEM_CLOCK) -> None:
+        self.casts = list(casts)
+        self.sessions = {name: session for cast in casts for name, session in cast.sessions.items()}
+        self._clock = clock
+        self._jointly = Jointly([session.estimator for session in self.sessions.values()])
+        self._wake = threading.Condition()
+        self._taking = threading.Lock()  # whoever takes frames through holds it
+        self._finished = threading.Event()
+        self._error: Exception | None = None
+
+    @classmethod
+    def of(cls, session: Session, *, clock: Clock = SYSTEM_CLOCK) -> Stage:
+        """One performer alone."""
+        return cls([Cast(session.source, {session.performer: session}, alone=True)], clock=clock)
+
+    @property
+    def name(self) -> str:
+        """The addresses of all sources."""
+        return " ".join(cast.source.name for cast in self.casts)
+
+    def run(self, stop: threading.Event, seconds: float | None = None) -> None:
+        """Takes frames through until `stop` is set, the sources end, or `seconds` have passed.
+
+        Raises what a source raised, after all that was delivered has been taken through.
+        """
+        for session in self.sessions.values():
+            session.start()
+        end = None if seconds is None else self._clock.now() + seconds
+        readers = [
+            threading.Thread(target=self._read, args=(cast,), name=cast.source.name, daemon=True)
+            for cast in self.casts
+        ]
+        with _quick_switches():
+            for reader in readers:
+                reader.start()
+            try:
+                while not (stop.is_set() or self._error):
+                    if end is not None and self._clock.now() >= end:
+                        break
+                    with self._wake:
+                        if not self._waiting():
+                            if not any(reader.is_alive() for reader in readers):
+                                break
+                            self._wake.wait(POLL)
+                    if not self._take_waiting():
+                        self._tell_lost()
+            finally:
+                self._finished.set()
+                for reader in readers:
+                    reader.join(2.0)
+        while self._take_waiting():  # what has come in goes out
+            pass
+        if self._error:
+            raise self._error
+
+    def close(self) -> None:
+        """Closes sources and sinks, recordings whole; a second call does nothing.
+
+        Raises SinkError where a recording could not be saved, after all else is closed.
+        """
+        errors = []
+        for session in self.sessions.values():
+            try:
+                session.close()
+            except SinkError as error:
+                errors.append(error)
+        if errors:
+            raise errors[0]
+
+    def status(self) -> Status:
+        """What all of it has done so far. Of several performers, the worst of each: the lowest
+        rate, the ages of the hop's slowest; and all markers and sinks, by name.
+        """
+        known = {name: session.status() for name, session in self.sessions.items()}
+        first, *others = known.values()
+        if not others:
+            return first
+        source: Counter[str] = Counter()
+        for cast in self.casts:
+            source.update(known[next(iter(cast.sessions))].source)
+        return replace(
+            first,
+            frames=max(one.frames for one in known.values()),
+            rate=min(one.rate for one in known.values()),
+            silent=max(one.silent for one in known.values()),
+            ages={name: _worst(one.ages[name] for one in known.values()) for name in first.ages},
+            markers=_by_name({name: one.markers for name, one in known.items()}, ":"),
+            imputed_samples=sum(one.imputed_samples for one in known.values()),
+            lost_frames=sum(one.lost_frames for one in known.values()),
+            missing_indices=source["missing"],
+            waiting=sum(len(cast.backlog.frames) for cast in self.casts),
+            source=dict(source),
+            sinks=_by_name({name: one.sinks for name, one in known.items()}, " to "),
+            performers=known,
+        )
+
+    def _waiting(self) -> bool:
+        return any(cast.backlog.frames for cast in self.casts)
+
+    def _take_waiting(self) -> bool:
+        """Takes the oldest waiting frame of each source through; whether there was one."""
+        with self._taking:
+            with self._wake:
+                came = [
+                    (cast, cast.backlog.frames.popleft())
+                    for cast in self.casts
+                    if cast.backlog.frames
+                ]
+                self._wake.notify_all()
+            self._take(came)
+        return bool(came)
+
+    def _take(self, came: Sequence[tuple[Cast, MarkerFrame]]) -> None:
+        parts: list[Part] = list(chain.from_iterable(cast.parts(frame) for cast, frame in came))
+        if len(parts) == 1:
+            session, frame = parts[0]
+            session.handle(frame)
+            return
+        asking = [(session, frame) for session, frame in parts if session.begin(frame) is None]
+        estimates = self._jointly.estimate([session.estimator for session, _ in asking])
+        for (session, frame), estimate in zip(asking, estimates, strict=True):
+            session.finish(frame, estimate)
+
+    def _tell_lost(self) -> None:
+        with self._taking:
+            for session in self.sessions.values():
+                session.tell_lost()
+
+    def _read(self, cast: Cast) -> None:
+        """A reader's thread."""
+        source, frames = cast.source, cast.backlog.frames
+        try:
+            while not (self._finished.is_set() or source.exhausted):
+                frame = source.read(POLL)
+                if frame is None:
+                    continue
+                if not (frames or source.ready) and self._taking.acquire(blocking=False):
+                    try:
+                        self._take([(cast, frame)])
+                    finally:
+                        self._taking.release()
+                elif not self._put(cast, frame):
+                    return
+        except Exception as error:  # for the caller's thread to raise
+            self._error = error
+        finally:
+            with self._wake:
+                self._wake.notify_all()
+
+    def _put(self, cast: Cast, frame: MarkerFrame) -> bool:
+        """Lets a frame wait. A file waits for room, and may wait in vain: False; of a live stream
+        the oldest frame makes room, and is counted.
+        """
+        backlog, room = cast.backlog, max(2.0, FIFO * frame.layout.rate)
+        with self._wake:
+            while not cast.source.live and len(backlog.frames) >= room:
+                if self._finished.is_set():
+                    return False
+                self._wake.wait(POLL)
+            backlog.frames.append(frame)
+            if len(backlog.frames) > room:
+                cast.record(backlog.frames.popleft())
+                backlog.overflow += 1
+            self._wake.notify_all()
+        return True
+
+
+def _worst(ages: Iterable[Ages]) -> Ages:
+    return max(ages, key=lambda age: age.p99 or 0.0)
+
+
+def _by_name(known: Mapping[str, Mapping[str, T]], between: str) -> dict[str, T]:
+    return {
+        f"{performer}{between}{name}": value
+        for performer, own in known.items()
+        for name, value in own.items()
+    }
+
+
+@contextmanager
+def _quick_switches() -> Iterator[None]:
+    """A dashboard that is being drawn gives way to a frame sooner than Python has it."""
+    usual = sys.getswitchinterval()
+    sys.setswitchinterval(SWITCH)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(usual)
