@@ -8,10 +8,30 @@ Rules for them are in docs/decisions/0028.
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import ParamSpec, TypeVar, cast
 
-from numba import njit
+
+@contextmanager
+def _without(module: str) -> Iterator[None]:
+    """As if a module were not installed, unless it has been imported."""
+    if module in sys.modules:
+        yield
+        return
+    sys.modules[module] = None  # type: ignore[assignment]
+    try:
+        yield
+    finally:
+        del sys.modules[module]
+
+
+# Numba takes it for products of matrices, which are not compiled here; it would cost a fifth of a
+# second at each start, and 17 MB.
+with _without("scipy.linalg"):
+    import numba.np.arraymath  # noqa: F401
+    from numba import njit
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -30,8 +50,12 @@ def compiled(signature: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     def compile_it(function: Callable[P, R]) -> Callable[P, R]:
         try:
             made = njit(signature, cache=True, error_model="numpy")(function)
-        except (RuntimeError, OSError) as error:  # nowhere to keep it: no home, or a full disk
-            log.info("%s is compiled anew at each start: %s", function.__qualname__, error)
+        except Exception as error:  # nowhere to keep it, a full disk, or what was kept is spoilt
+            log.warning(
+                "%s is compiled anew at each start, for what is compiled can be neither kept nor "
+                "read (%s): NUMBA_CACHE_DIR names another folder for it",
+                *(function.__qualname__, error),
+            )
             made = njit(signature, error_model="numpy")(function)
         return cast(Callable[P, R], made)
 
