@@ -12,7 +12,15 @@ import pytest
 from bridge import compiled as module
 from bridge.compiled import compiled
 
-SCRIPT = "import numpy as np; from bridge.imputer import _walk; print(_walk.py_func.__name__)"
+PROGRAM = """
+from bridge.compiled import compiled
+
+@compiled("f8(f8)")
+def more(value):
+    return value + 1
+
+print(more(1.0))
+"""
 
 
 def total(values, factor):
@@ -46,14 +54,16 @@ def test_where_nothing_can_be_kept_it_is_compiled_all_the_same(error, monkeypatc
 
 
 def test_a_spoilt_cache_is_no_harm(tmp_path: Path) -> None:
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    program, kept = tmp_path / "program.py", tmp_path / "kept"
+    program.write_text(PROGRAM)
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(kept)}
     for _ in range(2):
         done = subprocess.run(
-            [sys.executable, "-P", "-c", SCRIPT], env=environment, capture_output=True, text=True
+            [sys.executable, "-P", program], env=environment, capture_output=True, text=True
         )
-        assert (done.returncode, done.stdout) == (0, "_walk\n"), done.stderr
-        kept = [path for path in tmp_path.rglob("*.nb?") if path.is_file()]
-        assert kept
-        for path in kept:
+        assert (done.returncode, done.stdout) == (0, "2.0\n"), done.stderr
+        files = [path for path in kept.rglob("*.nb?") if path.is_file()]
+        assert files
+        for path in files:
             path.write_bytes(path.read_bytes()[:40])
     assert "compiled anew at each start" in done.stderr
