@@ -60,3 +60,10 @@ def compiled(signature: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
         return cast(Callable[P, R], made)
 
     return compile_it
+
+
+def inlined(function: Callable[P, R]) -> Callable[P, R]:
+    """A function for compiled ones: compiled into each that calls it, for what it is given there,
+    and by itself only where Python calls it. So it needs no signature and costs no start-up time.
+    """
+    return cast(Callable[P, R], njit(error_model="numpy")(function))

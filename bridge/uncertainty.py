@@ -16,21 +16,23 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from bridge.compiled import compiled
+from bridge.compiled import compiled, inlined
 from bridge.humanoid.skeleton import BONES, PARENTS, Posture
 from bridge.vectors import (
-    QUATERNION,
     Array,
     Quaternion,
-    V,
     Vector,
     after,
+    at,
     blended,
     minus,
     opposite,
     plus,
+    put,
+    put_turn,
     spun,
     times,
+    turn_at,
 )
 from drivers.frame import Floats
 
@@ -172,26 +174,6 @@ class Points:
         return ShownPoints(shown_xyz, shown_turns, self._all)
 
 
-@compiled(f"{V}(f4[:,:], i8)")
-def _place(rows: Floats, row: int) -> Vector:
-    return float(rows[row, 0]), float(rows[row, 1]), float(rows[row, 2])
-
-
-@compiled(f"void(f4[:,::1], i8, {V})")
-def _put_place(rows: Floats, row: int, place: Vector) -> None:
-    rows[row, 0], rows[row, 1], rows[row, 2] = place
-
-
-@compiled(f"{QUATERNION}(f4[:,::1], i8)")
-def _turn(rows: Floats, row: int) -> Quaternion:
-    return float(rows[row, 0]), float(rows[row, 1]), float(rows[row, 2]), float(rows[row, 3])
-
-
-@compiled(f"void(f4[:,::1], i8, {QUATERNION})")
-def _put_turn(rows: Floats, row: int, turn: Quaternion) -> None:
-    rows[row, 0], rows[row, 1], rows[row, 2], rows[row, 3] = turn
-
-
 @compiled("void(f4[:], f8, f8, f8[::1], b1[::1])")
 def _step(sigma: Floats, threshold: float, step: float, share: Array, doubted: Mask) -> None:
     for i in range(len(share)):
@@ -205,7 +187,7 @@ def _step(sigma: Floats, threshold: float, step: float, share: Array, doubted: M
             share[i] = max(share[i] - step, 0.0)
 
 
-@compiled(f"Tuple(({V}, {QUATERNION}))(f4[:,::1], f4[:,::1], f8, f4[:,::1], f4[:,::1])")
+@inlined
 def _held(
     joints: Floats, rotations: Floats, share: float, hips: Floats, turn: Floats
 ) -> tuple[Vector, Quaternion]:
@@ -215,9 +197,9 @@ def _held(
     if share == 0.0 or math.isnan(hips[0, 0]):
         hips[0] = joints[0]
         turn[0] = rotations[0]
-    now = _place(joints, 0)
-    place = plus(now, times(share, minus(_place(hips, 0), now)))
-    return place, blended(_turn(rotations, 0), _turn(turn, 0), share)
+    now = at(joints, 0)
+    place = plus(now, times(share, minus(at(hips, 0), now)))
+    return place, blended(turn_at(rotations, 0), turn_at(turn, 0), share)
 
 
 @compiled("void(b1, f4[:,::1], f4[:,::1], f8[::1], f4[:,::1], f4[:,::1], f4[:,::1], f4[:,::1])")
@@ -233,13 +215,13 @@ def _lead(
 ) -> None:
     """Bones on their way to where doubt leads them; the hips are always held."""
     place, turn = _held(joints, local, share[0], hips, kept)
-    _put_place(shown_hips, 0, place)
-    _put_turn(shown_local, 0, turn)
+    put(shown_hips, 0, place)
+    put_turn(shown_local, 0, turn)
     for bone in range(1, len(local)):
-        now = _turn(local, bone)
+        now = turn_at(local, bone)
         if holds and share[bone] == 0.0:
-            _put_turn(kept, bone, now)
-        _put_turn(shown_local, bone, blended(now, _turn(kept, bone), share[bone]))
+            put_turn(kept, bone, now)
+        put_turn(shown_local, bone, blended(now, turn_at(kept, bone), share[bone]))
 
 
 @compiled(
@@ -268,21 +250,21 @@ def _move(
     """Points on their way to where doubt leads them; what is sure is taken in."""
     origin, turn = _held(joints, rotations, share_of_hips[0], hips, turn_of_hips)
     for bone in range(1, len(rest)):
-        _put_place(from_hips, bone, plus(_place(from_hips, PARENTS[bone]), _place(rest, bone)))
+        put(from_hips, bone, plus(at(from_hips, PARENTS[bone]), at(rest, bone)))
     for i in range(len(xyz)):
-        bone, place, now = bones[i], _place(xyz, i), _turn(turns, i)
+        bone, place, now = bones[i], at(xyz, i), turn_at(turns, i)
         sure = share[i] == 0.0
         if sure or math.isnan(on_bone[i, 0]):
-            back = opposite(_turn(rotations, bone))
-            _put_place(on_bone, i, spun(back, minus(place, _place(joints, bone))))
-        goal, goal_turn = plus(_place(from_hips, bone), _place(on_bone, i)), _REST
+            back = opposite(turn_at(rotations, bone))
+            put(on_bone, i, spun(back, minus(place, at(joints, bone))))
+        goal, goal_turn = plus(at(from_hips, bone), at(on_bone, i)), _REST
         if holds:
             if sure:
-                _put_place(places, i, spun(opposite(turn), minus(place, origin)))
-                _put_turn(kept_turns, i, after(opposite(turn), now))
+                put(places, i, spun(opposite(turn), minus(place, origin)))
+                put_turn(kept_turns, i, after(opposite(turn), now))
             if not math.isnan(places[i, 0]):
-                goal = _place(places, i)
-            goal_turn = _turn(kept_turns, i)
+                goal = at(places, i)
+            goal_turn = turn_at(kept_turns, i)
         way = minus(plus(origin, spun(turn, goal)), place)
-        _put_place(shown_xyz, i, plus(place, times(share[i], way)))
-        _put_turn(shown_turns, i, blended(now, after(turn, goal_turn), share[i]))
+        put(shown_xyz, i, plus(place, times(share[i], way)))
+        put_turn(shown_turns, i, blended(now, after(turn, goal_turn), share[i]))

@@ -12,38 +12,34 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from bridge.compiled import compiled
+from bridge.compiled import inlined
 
 Array = npt.NDArray[np.float64]
+Rows = npt.NDArray[np.floating]
 Vector = tuple[float, float, float]
 Axes = tuple[Vector, Vector, Vector]
 Quaternion = tuple[float, float, float, float]
 
-# The same as numba has them.
-V = "UniTuple(f8, 3)"
-AXES = f"UniTuple({V}, 3)"
-QUATERNION = "UniTuple(f8, 4)"
 
-
-@compiled(f"{V}(f8[:,::1], i8)")
-def at(rows: Array, row: int) -> Vector:
+@inlined
+def at(rows: Rows, row: int) -> Vector:
     """A row of (N, 3)."""
-    return rows[row, 0], rows[row, 1], rows[row, 2]
+    return float(rows[row, 0]), float(rows[row, 1]), float(rows[row, 2])
 
 
-@compiled(f"void(f8[:,::1], i8, {V})")
-def put(rows: Array, row: int, a: Vector) -> None:
+@inlined
+def put(rows: Rows, row: int, a: Vector) -> None:
     """Writes a row of (N, 3)."""
     rows[row, 0], rows[row, 1], rows[row, 2] = a
 
 
-@compiled(f"{AXES}(f8[:,::1])")
+@inlined
 def axes_at(rows: Array) -> Axes:
     """A rotation of which the rows (3, 3) are the axes."""
     return at(rows, 0), at(rows, 1), at(rows, 2)
 
 
-@compiled(f"void(f8[:,::1], {AXES})")
+@inlined
 def put_axes(rows: Array, axes: Axes) -> None:
     """Writes a rotation's axes as rows (3, 3)."""
     put(rows, 0, axes[0])
@@ -51,31 +47,31 @@ def put_axes(rows: Array, axes: Axes) -> None:
     put(rows, 2, axes[2])
 
 
-@compiled(f"{V}({V}, {V})")
+@inlined
 def plus(a: Vector, b: Vector) -> Vector:
     """The sum."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
-@compiled(f"{V}({V}, {V})")
+@inlined
 def minus(a: Vector, b: Vector) -> Vector:
     """The difference."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-@compiled(f"{V}(f8, {V})")
+@inlined
 def times(share: float, a: Vector) -> Vector:
     """A vector so many times as long."""
     return share * a[0], share * a[1], share * a[2]
 
 
-@compiled(f"f8({V}, {V})")
+@inlined
 def dot(a: Vector, b: Vector) -> float:
     """The scalar product."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@compiled(f"{V}({V}, {V})")
+@inlined
 def cross(a: Vector, b: Vector) -> Vector:
     """The vector product."""
     return (
@@ -85,37 +81,37 @@ def cross(a: Vector, b: Vector) -> Vector:
     )
 
 
-@compiled(f"f8({V})")
+@inlined
 def length(a: Vector) -> float:
     """How long a vector is."""
     return math.sqrt(dot(a, a))
 
 
-@compiled(f"{V}({V})")
+@inlined
 def unit(a: Vector) -> Vector:
     """Of length 1; where there is no direction, zero."""
     return times(1.0 / max(length(a), 1e-12), a)
 
 
-@compiled(f"{V}({V}, {V})")
+@inlined
 def across(a: Vector, along: Vector) -> Vector:
     """What of a vector is at right angles to a unit vector."""
     return minus(a, times(dot(a, along), along))
 
 
-@compiled(f"{V}({AXES}, {V})")
+@inlined
 def turned(turn: Axes, a: Vector) -> Vector:
     """A vector turned by a rotation."""
     return plus(plus(times(a[0], turn[0]), times(a[1], turn[1])), times(a[2], turn[2]))
 
 
-@compiled(f"{V}({AXES}, {V})")
+@inlined
 def seen_in(axes: Axes, a: Vector) -> Vector:
     """A vector in these axes: turned back by the rotation."""
     return dot(axes[0], a), dot(axes[1], a), dot(axes[2], a)
 
 
-@compiled(f"{AXES}({AXES}, f8)")
+@inlined
 def lowered(turn: Axes, sine: float) -> Axes:
     """A rotation, turned about its own x so that what rises forward by this sine is level then."""
     x, y, z = turn
@@ -123,7 +119,7 @@ def lowered(turn: Axes, sine: float) -> Axes:
     return x, minus(times(cosine, y), times(sine, z)), plus(times(sine, y), times(cosine, z))
 
 
-@compiled(f"{V}({V}, {V}, {V})")
+@inlined
 def carried(a: Vector, start: Vector, end: Vector) -> Vector:
     """A vector turned by the shortest turn from one unit vector to another."""
     both = plus(start, end)
@@ -132,7 +128,7 @@ def carried(a: Vector, start: Vector, end: Vector) -> Vector:
     return plus(minus(a, back), times(2.0 * dot(a, start), end))
 
 
-@compiled(f"{QUATERNION}({AXES})")
+@inlined
 def quaternion(turn: Axes) -> Quaternion:
     """x, y, z, w of a rotation; w is not negative.
 
@@ -156,13 +152,25 @@ def quaternion(turn: Axes) -> Quaternion:
     return share * x, share * y, share * z, share * w
 
 
-@compiled(f"{QUATERNION}({QUATERNION})")
+@inlined
+def turn_at(rows: Rows, row: int) -> Quaternion:
+    """A row of (N, 4)."""
+    return float(rows[row, 0]), float(rows[row, 1]), float(rows[row, 2]), float(rows[row, 3])
+
+
+@inlined
+def put_turn(rows: Rows, row: int, turn: Quaternion) -> None:
+    """Writes a row of (N, 4)."""
+    rows[row, 0], rows[row, 1], rows[row, 2], rows[row, 3] = turn
+
+
+@inlined
 def opposite(turn: Quaternion) -> Quaternion:
     """The rotation back."""
     return -turn[0], -turn[1], -turn[2], turn[3]
 
 
-@compiled(f"{QUATERNION}({QUATERNION}, {QUATERNION})")
+@inlined
 def after(last: Quaternion, first: Quaternion) -> Quaternion:
     """One rotation after another, as one."""
     x, y, z, w = last
@@ -175,7 +183,7 @@ def after(last: Quaternion, first: Quaternion) -> Quaternion:
     )
 
 
-@compiled(f"{V}({QUATERNION}, {V})")
+@inlined
 def spun(turn: Quaternion, a: Vector) -> Vector:
     """A vector turned by a rotation that is a unit quaternion."""
     axis = turn[0], turn[1], turn[2]
@@ -183,7 +191,7 @@ def spun(turn: Quaternion, a: Vector) -> Vector:
     return plus(plus(a, times(turn[3], twice)), cross(axis, twice))
 
 
-@compiled(f"{QUATERNION}({QUATERNION}, {QUATERNION}, f8)")
+@inlined
 def blended(start: Quaternion, end: Quaternion, share: float) -> Quaternion:
     """A unit quaternion so far on the way to another, the shorter way round."""
     x, y, z, w = start

@@ -16,17 +16,22 @@ class AddressError(MarkerbridgeError):
     """A host that cannot be found."""
 
 
+def addresses(host: str, port: int, kind: socket.SocketKind) -> list[Any]:
+    """What getaddrinfo finds. Raises AddressError where the host is unknown, and for port 0."""
+    if port == 0:
+        raise AddressError(f"cannot send to {host}:0: ports are 1 to 65535")
+    try:
+        return socket.getaddrinfo(host, port, type=kind)
+    except (OSError, UnicodeError) as error:
+        raise AddressError(f"cannot send to {host}:{port}: {error}") from error
+
+
 class UdpSender:
     """A UDP socket to host and port. `limit`: the largest datagram worth sending there, bytes."""
 
     def __init__(self, host: str, port: int) -> None:
         """Raises AddressError where the host is unknown, and for port 0, where nobody can be."""
-        if port == 0:
-            raise AddressError(f"cannot send to {host}:0: ports are 1 to 65535")
-        try:
-            found = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)
-        except (OSError, UnicodeError) as error:
-            raise AddressError(f"cannot send to {host}:{port}: {error}") from error
+        found = addresses(host, port, socket.SOCK_DGRAM)
         # A name such as localhost often has both: most receivers listen on IPv4 alone.
         family, kind, protocol, _, address = min(found, key=lambda one: one[0] == socket.AF_INET6)
         self._address: Any = address

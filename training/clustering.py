@@ -12,7 +12,7 @@ from sklearn.base import BaseEstimator, ClusterMixin
 from sklearn.cluster import KMeans
 from sklearn.utils.validation import validate_data
 
-from training.moments import COVARIANCES, SegmentMoments, mean_and_covariances
+from training.moments import COORDINATES, COVARIANCES, SegmentMoments, mean_and_covariances
 from training.ppca import components_for
 
 Array = npt.NDArray[np.float64]
@@ -44,7 +44,9 @@ def segment_features(moments: SegmentMoments, weight: float) -> SegmentFeatures:
     so many-th tells scale and axes: memory and time then grow with the segments, not their square.
     """
     some = np.linspace(0, len(moments) - 1, min(len(moments), BASIS)).round().astype(int)
-    seen = np.concatenate([features for _, features in _batches(moments, some)])
+    seen = np.empty((len(some), COVARIANCES + COORDINATES))
+    for place, features in _batches(moments, some):
+        seen[place] = features
     centre = seen.mean(axis=0)
     seen -= centre
     scale = np.empty(len(centre))
@@ -54,17 +56,17 @@ def segment_features(moments: SegmentMoments, weight: float) -> SegmentFeatures:
     axes, variances = principal_axes(seen, VARIANCE)
     del seen
     rows = np.empty((len(moments), axes.shape[1]))
-    for batch, features in _batches(moments, np.arange(len(moments))):
-        rows[batch] = (features - centre) * scale @ axes
+    for place, features in _batches(moments, np.arange(len(moments))):
+        rows[place] = (features - centre) * scale @ axes
     return SegmentFeatures(rows, variances)
 
 
-def _batches(moments: SegmentMoments, rows: Indices) -> Iterator[tuple[Indices, Array]]:
-    """Some of the segments at a time: their rows, and [v, mu] of each."""
+def _batches(moments: SegmentMoments, rows: Indices) -> Iterator[tuple[slice, Array]]:
+    """Some of the rows at a time: their place among them, and [v, mu] of each."""
     for start in range(0, len(rows), _BATCH):
-        batch = rows[start : start + _BATCH]
-        mu, v = mean_and_covariances(moments[batch])
-        yield batch, np.hstack([v, mu])
+        place = slice(start, start + _BATCH)
+        mu, v = mean_and_covariances(moments[rows[place]])
+        yield place, np.hstack([v, mu])
 
 
 def principal_axes(centred: Array, share: float) -> tuple[Array, Array]:

@@ -37,8 +37,8 @@ class Sums:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ppca:
-    """The fitted model. mean: (D,); axes: (D, D), columns, largest variance first; variances:
-    (D,), those of the free directions as they are, then the noise.
+    """The fitted model. mean: (D,); axes: (D, free), the free directions in columns, largest
+    variance first; variances: (D,), those of the free directions as they are, then the noise.
     """
 
     mean: Array
@@ -58,17 +58,21 @@ class Ppca:
         noise = max(float(values[free:].mean()) if free < len(values) else 0.0, floor**2)
         variances = np.full(len(values), noise)
         variances[:free] = np.maximum(values[:free], noise)
-        return cls(mean, axes[:, ::-1], variances, free)
+        return cls(mean, axes[:, : -free - 1 : -1], variances, free)
 
     def distance(self, frames: Sums) -> float:
         """H: mean squared Mahalanobis distance of frames per coordinate; 1 for frames of the same
         Gaussian.
         """
+        # About the mean: E[(x - m)²] = E[x²] - 2 m E[x] + m², along each free axis and in all.
         mean, seen = self.mean, frames.first / frames.count
-        about = frames.second / frames.count - np.outer(mean, seen) - np.outer(seen, mean)
-        about += np.outer(mean, mean)
-        spread = (self.axes * (about @ self.axes)).sum(axis=0)
-        return float((spread / self.variances).mean())
+        along, seen_along = mean @ self.axes, seen @ self.axes
+        spread = (self.axes * (frames.second @ self.axes)).sum(axis=0) / frames.count
+        spread += along * (along - 2 * seen_along)
+        total = np.trace(frames.second) / frames.count + mean @ (mean - 2 * seen)
+        # The other directions have one variance: which they are does not matter.
+        others = (total - spread.sum()) / self.variances[-1]
+        return float(((spread / self.variances[: self.free]).sum() + others) / len(mean))
 
 
 def components_for(variances: Array, share: float) -> int:

@@ -7,8 +7,9 @@ second, and after that follows another performer within minutes.
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
-from bridge.humanoid.rotations import Array
+Array = npt.NDArray[np.float64]
 
 PRIOR = 30  # poses that the usual proportions count as much as
 SETTLED = 120  # poses until one counts as little as ever
@@ -76,4 +77,5 @@ class Measuring:
     def add(self, shown: Array) -> None:
         """Takes in what one pose shows (24,); NaN where it shows nothing."""
         gain = 1.0 / (PRIOR + self._poses) if self._poses <= SETTLED else EVERY / SLOW
-        self.mean.values += gain * np.nan_to_num(shown - self.mean.values)
+        values = self.mean.values
+        values += gain * np.where(np.isnan(shown), 0.0, shown - values)

@@ -6,9 +6,12 @@ import re
 from abc import abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
+import numpy.typing as npt
 
+from bridge.compiled import compiled
 from bridge.pose import Pose, Provenance
 from bridge.sinks.sink import Sink, SinkContext
 from bridge.uncertainty import Caution, Policy
@@ -32,6 +35,16 @@ class Profile:
     frame: Frame
 
 
+class Sender(Protocol):
+    """Where datagrams go. limit: the largest worth sending, bytes."""
+
+    limit: int
+
+    def send(self, datagram: bytes | bytearray) -> None: ...
+
+    def close(self) -> None: ...
+
+
 class EngineSink(Sink):
     """Makes datagrams of each pose and sends them; whether anybody listens makes no difference.
 
@@ -40,6 +53,8 @@ class EngineSink(Sink):
     """
 
     profile: Profile
+    prompt = True
+    one_body = True
 
     def __init__(self, url: Url, context: SinkContext) -> None:
         """Raises UrlError, and AddressError where the host is unknown."""
@@ -50,8 +65,13 @@ class EngineSink(Sink):
             url.take("sigma", Caution().threshold, parse_length),
         )
         url.finish()
-        self._out = UdpSender(*url.address(self.profile.port))
+        self._out = self._sender(url)
         self._start: float | None = None
+        self._lost = bytes([Provenance.LOST]) * len(context.info.labels)
+
+    def _sender(self, url: Url) -> Sender:
+        """Raises UrlError, and AddressError where the host is unknown."""
+        return UdpSender(*url.address(self.profile.port))
 
     @abstractmethod
     def _datagrams(self, pose: Pose) -> Iterable[bytes | bytearray]:
@@ -71,7 +91,7 @@ class EngineSink(Sink):
         """Whether there is a pose to show: a lost one is not, unless it fades or is held."""
         if self.wants_posture and pose.posture is None:
             return False
-        return self.caution.moves or not bool((pose.provenance == Provenance.LOST).all())
+        return self.caution.moves or pose.provenance.tobytes() != self._lost
 
     def close(self) -> None:
         self._out.close()
@@ -101,6 +121,34 @@ def parse_length(text: str) -> float:
     return positive(match[1]) * UNITS[match[2]]
 
 
-def joined(*parts: Floats) -> Floats:
-    """Rows of positions and rotations beside each other; none of their zeros negative."""
-    return np.concatenate(parts, axis=-1) + np.float32(0.0)
+class Placing:
+    """Writes positions and rotations as a world has them."""
+
+    def __init__(self, frame: Frame) -> None:
+        self._order = np.argsort(frame.order).astype(np.int64)
+        self._scale = frame.scale
+        self._spin = frame.spin
+
+    def write(self, xyz: Floats, turns: Floats, rows: Floats, size: float = 1.0) -> None:
+        """Positions (N, 3), made larger by `size`, and rotations (N, 4) of ours beside each other
+        into rows (N, 7); none of their zeros negative.
+        """
+        _write(xyz, turns, self._order, self._scale, self._spin, size, rows)
+
+
+@compiled("void(f4[:,:], f4[:,::1], i8[::1], f4[::1], f4[::1], f4, f4[:,::1])")
+def _write(
+    xyz: Floats,
+    turns: Floats,
+    order: npt.NDArray[np.int64],
+    scale: Floats,
+    spin: Floats,
+    size: float,
+    rows: Floats,
+) -> None:
+    for row in range(len(xyz)):
+        for axis in range(3):
+            ours = order[axis]
+            rows[row, axis] = size * xyz[row, ours] / scale[ours] + 0.0
+            rows[row, 3 + axis] = spin[ours] * turns[row, ours] + 0.0
+        rows[row, 6] = turns[row, 3] + 0.0

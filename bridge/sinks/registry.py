@@ -17,6 +17,7 @@ SINKS = {
     "c3d": "bridge.sinks.c3d:C3dSink",
     "view": "bridge.sinks.view:ViewSink",
     "log": "bridge.sinks.log:LogSink",
+    "mqtt": "bridge.sinks.mqtt:MqttSink",
 }
 
 

@@ -90,5 +90,5 @@ class BodyTrackers:
         posture = pose.posture
         assert posture is not None
         return self._points(
-            pose.t, posture.joints[self._joints], posture.sigma[self._bones], posture
+            pose.t, posture.joints.take(self._joints, 0), posture.sigma.take(self._bones), posture
         )

@@ -20,15 +20,14 @@ import numpy as np
 from bridge.humanoid.skeleton import BONES
 from bridge.pose import Pose
 from bridge.sinks.bundles import Bundles, Selection, template
-from bridge.sinks.engine import EngineSink, Profile, joined, one_of, parse_length
+from bridge.sinks.engine import EngineSink, Placing, Profile, one_of, parse_length
 from bridge.sinks.sink import SinkContext
 from bridge.sinks.trackers import bone_rows
 from bridge.uncertainty import Bones, Points
 from drivers.coordinates import FRAMES
 from drivers.url import Url
 
-_NO_ROTATION = np.array([0.0, 0.0, 0.0, 1.0], np.float32)
-_ROOT = np.append(np.zeros(3, np.float32), _NO_ROTATION)
+_ROOT = np.array([0, 0, 0, 0, 0, 0, 1], np.float32)
 
 
 class VmcSink(EngineSink):
@@ -46,40 +45,42 @@ class VmcSink(EngineSink):
         self.wants_posture = self._with_bones or self.caution.moves or self._height is not None
         labels = context.info.labels if with_markers else ()
         names = BONES if self._with_bones else ()
-        self._markers = len(labels)
         self._bones = Bones(self.caution)
         self._points = Points(self.caution, bone_rows(labels))
+        self._unturned = np.tile(_ROOT[3:], (len(labels), 1))
+        self._placing = Placing(self.profile.frame)
         head = [template("/VMC/Ext/OK", ("i", 1)), template("/VMC/Ext/T", floats=1)]
         if self._with_bones:
             head.append(template("/VMC/Ext/Root/Pos", ("s", "root"), floats=7))
         things = [template("/VMC/Ext/Bone/Pos", ("s", name), floats=7) for name in names]
         things += [template("/VMC/Ext/Tra/Pos", ("s", label), floats=7) for label in labels]
         self._known = Selection(head, things, self._out.limit)
+        self._known.head[1:] = _ROOT[: 7 * self._with_bones]
+        self._shown = np.ones(len(things), bool)
+        self._places = np.empty((len(names), 3), np.float32)  # each against its parent
         waiting = [template("/VMC/Ext/OK", ("i", 0)), template("/VMC/Ext/T", floats=1)]
         self._unknown = Bundles(waiting, self._out.limit)
 
     def _datagrams(self, pose: Pose) -> Iterable[bytes | bytearray]:
-        seconds = np.array([self._seconds(pose)], np.float32)
+        seconds = self._seconds(pose)
         if not self._is_known(pose):
-            return self._unknown.filled(seconds)
-        posture = pose.posture
-        xyz, sigma = pose.xyz[: self._markers], pose.sigma[: self._markers]
-        xyz, turns, shown = self._points(pose.t, xyz, sigma, posture)
-        shown = shown & ~np.isnan(xyz[:, 0])  # no engine knows a NaN
-        if posture is not None and self._with_bones:
-            bones = self._bones(pose.t, posture)
-            places = posture.rest.copy()
-            places[0] = bones.hips
-            xyz = np.concatenate([places, xyz])
-            turns = np.concatenate([bones.local, turns])
-            shown = np.concatenate([bones.shown, shown])
-        else:
-            turns = np.broadcast_to(_NO_ROTATION, turns.shape)
+            return self._unknown.filled(np.array([seconds], np.float32))
+        posture, first, rows = pose.posture, len(self._places), self._known.rows
+        count = len(rows) - first
+        xyz, turns, shown = self._points(pose.t, pose.xyz[:count], pose.sigma[:count], posture)
+        size = 1.0
         if posture is not None and self._height is not None:
             # As large as the avatar, whose hips would float else, or sink into the floor.
-            xyz = xyz * (np.float32(self._height) / posture.rest[0, 2])
-        frame = self.profile.frame
-        floats = joined(frame.from_ours(xyz), frame.rotations_from_ours(turns))
-        if self._with_bones:
-            seconds = np.concatenate([seconds, _ROOT])
-        return self._known.filled(floats, shown, seconds)
+            size = self._height / posture.rest[0, 2]
+        if posture is not None and self._with_bones:
+            bones = self._bones(pose.t, posture)
+            self._places[:] = posture.rest
+            self._places[0] = bones.hips
+            self._placing.write(self._places, bones.local, rows[:first], size)
+            self._shown[:first] = bones.shown
+        else:
+            turns = self._unturned
+        self._placing.write(xyz, turns, rows[first:], size)
+        self._shown[first:] = shown & ~np.isnan(xyz[:, 0])  # no engine knows a NaN
+        self._known.head[0] = seconds
+        return self._known.filled(self._shown)

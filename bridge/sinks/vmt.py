@@ -16,11 +16,10 @@ import numpy as np
 
 from bridge.pose import Pose
 from bridge.sinks.bundles import Selection, Template, template
-from bridge.sinks.engine import EngineSink, Profile, joined
+from bridge.sinks.engine import EngineSink, Placing, Profile
 from bridge.sinks.sink import SinkContext
 from bridge.sinks.trackers import TRACKERS, BodyTrackers, parse_trackers
 from drivers.coordinates import FRAMES
-from drivers.frame import Floats
 from drivers.url import Url
 
 LAST = 57  # VMT's last index
@@ -40,27 +39,27 @@ class VmtSink(EngineSink):
         self._trackers = BodyTrackers(numbers, self.caution)
         on, off = ([_message(first + number, enable) for number in numbers] for enable in (1, 0))
         self._packets = Selection([], on, self._out.limit, hidden=off)
-        self._last: Floats | None = None
+        self._placing = Placing(self.profile.frame)
+        self._none = np.zeros(len(numbers), bool)
+        self._is_on = False
 
     def _datagrams(self, pose: Pose) -> Iterable[bytes | bytearray]:
         if not self._is_known(pose):
             return self._switched_off()
         xyz, turns, shown = self._trackers(pose)
-        frame = self.profile.frame
-        self._last = joined(frame.from_ours(xyz), frame.rotations_from_ours(turns))
-        return self._packets.filled(self._last, shown)
+        self._placing.write(xyz, turns, self._packets.rows)
+        self._is_on = True
+        return self._packets.filled(shown)
 
     def _switched_off(self) -> Iterable[bytes | bytearray]:
         """Nothing before the first pose: a tracker that SteamVR never saw stays unknown."""
-        if self._last is None:
-            return ()
-        return self._packets.filled(self._last, np.zeros(len(self._last), bool))
+        return self._packets.filled(self._none) if self._is_on else ()
 
     def close(self) -> None:
         with suppress(OSError):  # nobody is there to be told
             for datagram in self._switched_off():
                 self._out.send(datagram)
-        self._last = None
+        self._is_on = False
         super().close()
 
 

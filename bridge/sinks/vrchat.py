@@ -11,13 +11,15 @@ where its own is, and turns it slowly to where its own looks; no rotation is loo
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 import numpy as np
 
+from bridge.compiled import compiled
 from bridge.pose import Pose
 from bridge.sinks.bundles import Selection, template
-from bridge.sinks.engine import EngineSink, Profile, joined, one_of
+from bridge.sinks.engine import EngineSink, Placing, Profile, one_of
 from bridge.sinks.sink import SinkContext
 from bridge.sinks.trackers import BodyTrackers, parse_trackers
 from drivers.coordinates import FRAMES
@@ -48,38 +50,45 @@ class VrchatSink(EngineSink):
             for name in (*numbers, "head")
             for what in ("position", "rotation")
         ]
-        self._count = 2 * len(numbers) + _OF_HEAD[head]
-        self._packets = Selection([], messages[: self._count], self._out.limit)
+        self._packets = Selection([], messages, self._out.limit)
+        self._wanted = np.arange(len(messages)) < 2 * len(numbers) + _OF_HEAD[head]
+        self._placing = Placing(self.profile.frame)
+        self._rows = np.empty((len(numbers) + 1, 7), np.float32)
 
     def _datagrams(self, pose: Pose) -> Iterable[bytes | bytearray]:
         if not self._is_known(pose):
             return ()
         xyz, turns, shown = self._trackers(pose)
-        shown = np.repeat(shown, 2)[: self._count]
+        shown = shown.repeat(2) & self._wanted
         if not shown.any():
             return ()
-        frame = self.profile.frame
-        angles = euler(frame.rotations_from_ours(turns))
-        angles[-1, [0, 2]] = 0.0
-        floats = joined(frame.from_ours(xyz), angles).reshape(-1, 3)[: self._count]
-        return self._packets.filled(floats, shown)
+        self._placing.write(xyz, turns, self._rows)
+        rows = self._packets.rows.reshape(-1, 6)
+        euler(self._rows, rows)
+        rows[-1, 3] = rows[-1, 5] = 0.0
+        return self._packets.filled(shown)
 
 
-def euler(turns: Floats) -> Floats:
-    """(N, 3) degrees about x, y and z of unit quaternions (N, 4) in Unity's space, which applies z
-    first, then x, then y. Looking straight up or down, z is 0: there y and z are one turn.
+@compiled("void(f4[:,::1], f4[:,::1])")
+def euler(turned: Floats, rows: Floats) -> None:
+    """Writes positions and angles (N, 6), degrees about x, y and z, of positions and unit
+    quaternions (N, 7) in Unity's space, which applies z first, then x, then y. Looking straight up
+    or down, z is 0: there y and z are one turn.
     """
-    x, y, z, w = turns.astype(float).T
-    sine = 2 * (w * x - y * z)
-    side, up = 2 * (w * z + x * y), 1 - 2 * (x * x + z * z)
-    flat = np.abs(sine) > _FLAT
-    yaw = np.where(
-        flat,
-        np.arctan2(2 * (w * y - x * z), 1 - 2 * (y * y + z * z)),  # of what was to the right
-        np.arctan2(2 * (w * y + x * z), 1 - 2 * (x * x + y * y)),  # of what was in front
-    )
-    roll = np.where(flat, 0.0, np.arctan2(side, up))
-    # Not the arcsine: near a right angle it makes a rounding error a hundredth of a degree.
-    radians = np.stack([np.arctan2(sine, np.hypot(side, up)), yaw, roll], axis=1)
-    angles: Floats = np.degrees(radians, dtype=np.float32)
-    return angles
+    for row in range(len(turned)):
+        x, y = float(turned[row, 3]), float(turned[row, 4])
+        z, w = float(turned[row, 5]), float(turned[row, 6])
+        sine = 2 * (w * x - y * z)
+        side, up = 2 * (w * z + x * y), 1 - 2 * (x * x + z * z)
+        if abs(sine) > _FLAT:
+            roll = 0.0
+            yaw = math.atan2(2 * (w * y - x * z), 1 - 2 * (y * y + z * z))  # of what was right
+        else:
+            roll = math.atan2(side, up)
+            yaw = math.atan2(2 * (w * y + x * z), 1 - 2 * (x * x + y * y))  # of what was in front
+        # Not the arcsine: near a right angle it makes a rounding error a hundredth of a degree.
+        pitch = math.atan2(sine, math.hypot(side, up))
+        rows[row, :3] = turned[row, :3]
+        rows[row, 3] = math.degrees(pitch) + 0.0
+        rows[row, 4] = math.degrees(yaw) + 0.0
+        rows[row, 5] = math.degrees(roll) + 0.0

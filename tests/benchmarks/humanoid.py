@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from bridge.estimator import PoseEstimator
-from bridge.humanoid.rotations import carried, matrices
+from bridge.humanoid.rotations import matrices
 from bridge.humanoid.skeleton import BONES, PARENTS, ROW, Posture
 from bridge.humanoid.solver import HumanoidSolver
 from bridge.model import Model
@@ -27,6 +27,7 @@ from bridge.pose import Pose
 from drivers.c3d_file import read_c3d
 from drivers.frame import Floats, MarkerFrame
 from simulators.corruption import Corruption, Faults, parse_gaps
+from tests.bridge.humanoid_reference import carried
 
 STANDS = 0.25  # m/s: an ankle that is slower, and
 LOW = 0.03  # m: no higher over its lowest, belongs to a foot that stands

@@ -1,7 +1,7 @@
-"""A bridge that does nothing: for each packet on a serial line, one datagram of the same size as
-ours. What it takes is the line, the loopback and Python; what a real bridge takes is more.
+"""A bridge that does nothing: for each frame's packet on a serial line, one datagram of the same
+size as ours. What it takes is the line, the loopback and Python; what a real bridge takes is more.
 
-`python -m tests.benchmarks.null_bridge PORT UDP_PORT BYTES`
+`python -m tests.benchmarks.null_bridge PORT UDP_PORT BYTES FRAME_BYTES`
 """
 
 from __future__ import annotations
@@ -13,18 +13,18 @@ import sys
 import tty
 
 from drivers.wire.cobs import CobsDecoder
-
-SHORTEST = 60  # bytes: what is shorter is a layout's end, or a delimiter
+from tests.benchmarks.datagrams import MARK, NOTHING
 
 
 def main() -> None:
-    path, port, size = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
+    path, port, size, frame_size = sys.argv[1], *map(int, sys.argv[2:5])
     line = os.open(path, os.O_RDWR | os.O_NOCTTY)
     tty.setraw(line)
     os.write(line, CobsDecoder.hello)
     out = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     out.connect(("127.0.0.1", port))
-    datagram = bytes(size)
+    datagram = bytearray(max(size, NOTHING.size))
+    count = 0
     rest = b""
     while True:
         select.select([line], [], [])
@@ -33,8 +33,10 @@ def main() -> None:
         except OSError:  # the other end is gone
             return
         for packet in packets:
-            if len(packet) > SHORTEST and packet[1:2] != b"\x02":
+            if len(packet) == frame_size:  # else a layout, or nothing between two delimiters
+                NOTHING.pack_into(datagram, 0, MARK, count)
                 out.send(datagram)
+                count += 1
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ from bridge.model import Model
 from drivers.c3d_file import write_c3d
 from drivers.frame import Floats, Layout
 from drivers.marker_set import MARKERS
-from training.dataset import load_training
+from training.dataset import Take, load_training
 
 SIX = "LFHD,RELB,LUPA,RSHN,LTOE,RTOE"
 
@@ -41,12 +42,7 @@ def main() -> int:
     for repeats in map(int, options.repeats.split(",")):
         with tempfile.TemporaryDirectory() as scratch:
             folder = Path(scratch, "captures")
-            for number in range(repeats):
-                (folder / str(number)).mkdir(parents=True)
-                for index, take in enumerate(takes):
-                    random = np.random.default_rng([number, index])
-                    path = folder / str(number) / f"{index}.c3d"
-                    write_c3d(path, Layout(MARKERS, take.rate), another(take.xyz, random))
+            write_others(folder, takes, repeats)
             seconds, peak, training = train(folder, Path(scratch, "model.onnx"))
         first = first or (seconds, peak)
         print(
@@ -56,6 +52,16 @@ def main() -> int:
             flush=True,
         )
     return 0
+
+
+def write_others(folder: Path, takes: Sequence[Take], repeats: int) -> None:
+    """Writes the takes so many times, each time by somebody else: always the same for a number."""
+    for number in range(repeats):
+        (folder / str(number)).mkdir(parents=True)
+        for index, take in enumerate(takes):
+            random = np.random.default_rng([number, index])
+            path = folder / str(number) / f"{index}.c3d"
+            write_c3d(path, Layout(MARKERS, take.rate), another(take.xyz, random))
 
 
 def another(xyz: Floats, random: np.random.Generator) -> Floats:

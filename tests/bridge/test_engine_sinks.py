@@ -12,10 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pythonosc.osc_bundle import OscBundle
 
-from bridge.humanoid.rotations import quaternions
 from bridge.humanoid.skeleton import BONES, PARENTS
 from bridge.pose import Pose, Provenance
-from bridge.sinks.engine import EngineSink
+from bridge.sinks.engine import EngineSink, Placing
 from bridge.sinks.outlet import Outlet
 from bridge.sinks.registry import open_sink
 from bridge.sinks.trackers import BONE_OF
@@ -25,6 +24,7 @@ from drivers.coordinates import FRAMES
 from drivers.marker_set import MARKERS
 from drivers.udp_sender import ETHERNET
 from drivers.wire.osc_qtm import QtmDecoder
+from tests.bridge.humanoid_reference import quaternions
 from tests.bridge.poses import (
     CONTEXT,
     COUNT,
@@ -128,6 +128,25 @@ def test_a_receiver_that_hangs_bone_on_bone_has_our_joints() -> None:
         np.testing.assert_allclose(same, 1.0, atol=1e-5)
 
 
+@pytest.mark.parametrize("name", FRAMES)
+def test_positions_and_rotations_are_as_the_frame_has_them(name: str) -> None:
+    body, frame = pose().posture, FRAMES[name]
+    assert body is not None
+    rows = np.full((len(BONES), 7), np.nan, np.float32)
+    Placing(frame).write(body.joints, body.rotations, rows)
+    np.testing.assert_array_equal(rows[:, :3], frame.from_ours(body.joints))
+    np.testing.assert_array_equal(rows[:, 3:], frame.rotations_from_ours(body.rotations))
+
+
+@pytest.mark.parametrize("policy", ["show", "fade"])
+@pytest.mark.parametrize("scheme", ENGINES)
+def test_every_other_row_of_more_markers_is_a_pose_too(scheme: str, policy: str) -> None:
+    each = standing()
+    xyz, sigma = np.repeat(each.xyz, 2, axis=0)[::2], np.repeat(each.sigma, 2)[::2]
+    address = f"{scheme}://{HERE}?uncertain={policy}"
+    assert made(address, replace(each, xyz=xyz, sigma=sigma)) == made(address, each)
+
+
 def test_vmc_is_as_large_as_the_avatar() -> None:
     usual, half = (
         read(made(f"vmc://{HERE}{option}", standing())[0]) for option in ("", "?hips=50cm")
@@ -218,7 +237,7 @@ def test_every_marker_sits_on_a_bone() -> None:
 def test_euler_angles_applied_z_x_y_are_the_rotation(seed: int) -> None:
     turns = np.random.default_rng(seed).normal(size=(8, 4))
     turns /= np.linalg.norm(turns, axis=1, keepdims=True)
-    back = composed(euler(turns.astype(np.float32)))
+    back = composed(angles(turns))
     assert np.abs(np.einsum("ij,ij->i", back, turns)) == pytest.approx(1.0, abs=1e-5)
 
 
@@ -226,13 +245,21 @@ def test_looking_straight_up_or_down_is_exact_too() -> None:
     for pitch in (-90, 90, -89.95, 89.95, 90.02):
         for yaw in (-170, -30, 0, 45, 100):
             turn = composed(np.array([[pitch, yaw, 20.0]]))
-            back = composed(euler(turn.astype(np.float32)))
+            back = composed(angles(turn))
             assert abs(back[0] @ turn[0]) == pytest.approx(1.0, abs=1e-6)
     np.testing.assert_allclose(
-        euler(composed(np.array([[90, 30, 0.0], [-90, -60, 0]])).astype(np.float32)),
+        angles(composed(np.array([[90, 30, 0.0], [-90, -60, 0]]))),
         [[90, 30, 0], [-90, -60, 0]],
         atol=0.03,
     )
+
+
+def angles(turns: np.ndarray) -> np.ndarray:
+    """Degrees about x, y and z of quaternions."""
+    turned = np.concatenate([np.zeros((len(turns), 3)), turns], axis=1).astype(np.float32)
+    rows = np.empty((len(turns), 6), np.float32)
+    euler(turned, rows)
+    return rows[:, 3:]
 
 
 def composed(degrees: np.ndarray) -> np.ndarray:

@@ -21,6 +21,7 @@ from drivers.c3d_file import read_c3d
 from drivers.frame import Floats
 from simulators.performer import load_performer
 from tests.benchmarks.humanoid import Played, changes, least_bends, off, play, slides
+from tests.bridge.humanoid_reference import Reference
 
 MODEL = Model("default")
 INFO = MODEL.info
@@ -67,6 +68,49 @@ def test_joints_rotations_and_rest_pose_are_one_body() -> None:
             np.testing.assert_allclose(found.joints[row], at, atol=2e-5)
             np.testing.assert_allclose(turns[row], turns[above] @ local[row], atol=1e-5)
         np.testing.assert_allclose(turns[0], local[0], atol=1e-6)
+
+
+def same_as_reference(poses: list[Pose]) -> None:
+    solver, reference = HumanoidSolver(INFO), Reference(INFO.labels)
+    for each in poses:
+        found = solver.solve(each)
+        assert found is not None
+        joints, rotations, local = reference.solve(each)
+        np.testing.assert_allclose(found.joints, joints, rtol=1e-6, atol=1e-6)
+        np.testing.assert_allclose(found.rotations, rotations, atol=1e-6)
+        np.testing.assert_allclose(found.local, local, atol=1e-6)
+        expected = reference.measuring.mean.values
+        np.testing.assert_allclose(solver.proportions.values, expected, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize(("name", "first"), [("02_03", 0), ("85_12", 2400)])
+def test_what_is_compiled_is_what_plain_numpy_makes(data_dir, name: str, first: int) -> None:
+    """A run and a breakdance; and the same lying down, far away."""
+    xyz = capture(data_dir / "real" / f"{name}.c3d")[first : first + 150]
+    xyz = xyz[~np.isnan(xyz).any(axis=(1, 2))]
+    lying = xyz[:40, :, [0, 2, 1]] * np.float32([1, -1, 1]) + np.float32([1e4, -1e4, 0])
+    same_as_reference([pose(each, i) for i, each in enumerate([*xyz, *lying])])
+
+
+def test_a_pose_may_be_in_arrays_of_any_kind() -> None:
+    usual = pose(WALKER.pose(0))
+    strided = np.repeat(usual.xyz.astype(float), 2, axis=0)[::2]
+    strided.flags.writeable = False
+    other = replace(usual, xyz=strided, sigma=usual.sigma.astype(float))
+    found, expected = (HumanoidSolver(INFO).solve(each) for each in (other, usual))
+    assert found is not None
+    assert expected is not None
+    np.testing.assert_array_equal(found.joints, expected.joints)
+    np.testing.assert_array_equal(found.sigma, expected.sigma)
+
+
+def test_nonsense_too_is_what_plain_numpy_makes() -> None:
+    random = np.random.default_rng(0)
+    here = np.zeros((41, 3), np.float32)
+    nonsense = [here, here + np.float32([1, -2, 0.5]), WALKER.pose(0) * 0]
+    nonsense += [random.normal(scale=s, size=(41, 3)).astype(np.float32) for s in (0.01, 1, 1e4)]
+    for each in nonsense:
+        same_as_reference([pose(each, 0), pose(WALKER.pose(1), 1)])
 
 
 def test_somebody_who_stands_with_arms_out_is_in_the_rest_pose(data_dir) -> None:
@@ -155,9 +199,12 @@ def test_markers_all_in_one_place_are_survived() -> None:
 
 
 def test_without_all_markers_there_is_no_humanoid() -> None:
-    xyz = WALKER.pose(0).copy()
-    xyz[3] = np.nan
-    assert HumanoidSolver(INFO).solve(pose(xyz)) is None
+    solver = HumanoidSolver(INFO)
+    for nowhere in (np.nan, np.inf):
+        xyz = WALKER.pose(0).copy()
+        xyz[3] = nowhere
+        assert solver.solve(pose(xyz)) is None
+    assert solver.solve(pose(WALKER.pose(0))) is not None
 
 
 def test_sigma_is_that_of_the_markers_that_tell_a_bone() -> None:

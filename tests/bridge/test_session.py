@@ -187,7 +187,9 @@ def test_a_frame_that_is_held_up_on_the_line_is_seen_in_the_delay() -> None:
     assert delay.worst == delay.max == pytest.approx(0.19, abs=1e-3)
     assert delay.p50 is not None
     assert delay.p50 < 1e-3
-    # On virtual time nothing waits, and an estimate costs nothing.
+    # On virtual time nothing waits, and to read and to estimate costs nothing.
+    assert status.ages["parse"].count == 100
+    assert status.ages["parse"].max == 0.0
     assert status.ages["queue"].max == status.ages["estimate"].max == 0.0
 
 
@@ -210,8 +212,16 @@ def test_every_hop_is_accounted_for_to_the_microsecond() -> None:
     for index, wait in enumerate(waits.tolist()):
         t = clock.now()
         clock.sleep_until(t + wait)
-        running.handle(MarkerFrame(index, t, t, LAYOUT, STANDING, t - 0.003))
+        frame = MarkerFrame(index, t, t, LAYOUT, STANDING, t - 0.003, t + wait / 2)
+        pose = running.handle(frame)
+        # The times of each frame go with its pose.
+        assert (pose.t, pose.t_mapped, pose.t_parsed) == (frame.t, frame.t_mapped, frame.t_parsed)
+        assert pose.t_estimated == pytest.approx(t + wait + 0.002, abs=1e-9)
     status = running.status()
+    parse = status.ages["parse"]
+    assert (parse.count, parse.max) == (480, pytest.approx(0.005, abs=1e-9))
+    assert parse.p50 == pytest.approx(0.0025, rel=0.024)
+    assert parse.p99 == pytest.approx(0.00495, rel=0.024)
     sinks = status.sinks
     for ages, cost in (
         (status.ages["queue"], 0.0),

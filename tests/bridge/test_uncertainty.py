@@ -28,7 +28,7 @@ def raised(sigma: float, t: float = 0.0, hips: tuple[float, ...] = (1, 2, 1)) ->
 
 
 def test_doubt_comes_and_goes_over_pose_time() -> None:
-    doubt = Doubt(0.08)
+    doubt = Doubt(0.08, 1)
     times = [0.0, 1.0, 1.15, 1.3, 1.45, 2.0, 2.1, 2.4]
     sigmas = [SURE, SURE, UNSURE, UNSURE, UNSURE, SURE, SURE, SURE]
     shares = [doubt.step(t, np.float32([s]))[0] for t, s in zip(times, sigmas, strict=True)]
@@ -36,16 +36,12 @@ def test_doubt_comes_and_goes_over_pose_time() -> None:
 
 
 def test_what_is_in_doubt_from_the_first_is_so_wholly() -> None:
-    assert Doubt(0.08).step(5.0, np.float32([SURE, UNSURE, np.inf, np.nan])).tolist() == [
-        0,
-        1,
-        1,
-        1,
-    ]
+    share = Doubt(0.08, 4).step(5.0, np.float32([SURE, UNSURE, np.inf, np.nan]))
+    assert share.tolist() == [0, 1, 1, 1]
 
 
 def test_nothing_flickers_at_the_threshold() -> None:
-    doubt = Doubt(0.08)
+    doubt = Doubt(0.08, 1)
     seen = []
     for frame in range(60):
         doubt.step(frame / 120, np.float32([0.08 + 0.004 * (-1) ** frame]))
@@ -56,7 +52,7 @@ def test_nothing_flickers_at_the_threshold() -> None:
 
 
 def test_time_that_stands_still_or_runs_back_moves_nothing() -> None:
-    doubt = Doubt(0.08)
+    doubt = Doubt(0.08, 1)
     doubt.step(1.0, np.float32([SURE]))
     assert doubt.step(1.1, np.float32([UNSURE]))[0] == pytest.approx(1 / 3)
     assert doubt.step(1.1, np.float32([UNSURE]))[0] == pytest.approx(1 / 3)

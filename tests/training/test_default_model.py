@@ -34,11 +34,31 @@ class InNumpy:
 
     def __init__(self, model, path):
         self.info, self.leaves, self.width = model.info, model.leaves, model.width
-        if model.leaves:
-            self.run = ReferenceModel(path).run
-        else:
-            reference = ReferenceNetworks(path)
-            self.estimate, self.recall = reference.estimate, reference.recall
+        self._reference = (ReferenceModel if model.leaves else ReferenceNetworks)(path)
+
+    def networks(self, count):
+        return self
+
+    def estimate(self, tracked, velocity):
+        frames = zip(tracked, velocity, strict=True)
+        return [self._reference.estimate(*frame) for frame in frames]
+
+    def recall(self, tracked, present, memory):
+        return self._reference.recall(tracked, present, memory)
+
+    def mixture(self, history):
+        return MixtureInNumpy(self._reference, self.width, history)
+
+
+class MixtureInNumpy:
+    """As `bridge.model.BoundMixture`, with the reference doing the work."""
+
+    def __init__(self, reference, width, history):
+        self._reference, self.history = reference, history
+        self.x = np.zeros((1, width), np.float32)
+
+    def run(self):
+        self.z, self.p = self._reference.run(self.x, self.history)
 
 
 def poses(model, take, measured):
