@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
+from bridge.rehearsal import LEAD, SHORTEST
 from bridge.session import Backlog, Session
 from drivers.frame import Layout, MarkerFrame, Rows, Source
 
@@ -41,6 +43,20 @@ class Cast:
             (session, replace(frame, layout=layout, xyz=frame.xyz[rows]))
             for session, layout, rows in self._parts
         ]
+
+    def rehearsal_due(self, frame: MarkerFrame) -> float:
+        """When to rehearse for the frame that comes after this one; never (infinity) where frames
+        come too fast, or for many at a time.
+        """
+        interval = 1.0 / frame.layout.rate
+        if self._alone is None or not self.source.live or interval < SHORTEST:
+            return math.inf
+        return frame.t + interval - LEAD
+
+    def rehearse(self) -> None:
+        """See `Session.rehearse`."""
+        if self._alone is not None:
+            self._alone.rehearse()
 
     def record(self, frame: MarkerFrame) -> None:
         """Tells the sinks that record of a frame that is not estimated."""

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from bridge.estimator import PoseEstimator
 from bridge.pose import Pose
 from bridge.regression import Estimate
+from bridge.rehearsal import Rehearsal
 from bridge.sinks.outlet import COUNTED, Outlet, Tap
 from bridge.sinks.sink import Sink, SinkContext, SinkError
 from bridge.statistics import Ages, Hop, MarkerStatus, Mean, Presence
@@ -98,6 +99,8 @@ class Session:
         self._recording = [outlet for outlet in self.outlets if outlet.sink.records]
         wanted = any(sink.wants_posture for sink in sinks)
         self._humanoid = _humanoid(context) if wanted else None
+        self._rehearsal = Rehearsal(estimator.model, _humanoid(context) if wanted else None)
+        self._frame: MarkerFrame | None = None  # the last one
         self._truth = truth
         self._clock = clock
         self._started = self._taken = clock.now()
@@ -152,6 +155,11 @@ class Session:
     def finish(self, frame: MarkerFrame, estimate: Estimate) -> Pose:
         """The second half, with what the regression says."""
         return self._deliver(frame, self.estimator.finish(frame, estimate))
+
+    def rehearse(self) -> None:
+        """Makes the next frame quicker; of no effect on it otherwise. Any thread may call it."""
+        if self._frame is not None:
+            self._rehearsal(self._frame)
 
     def record(self, frame: MarkerFrame) -> None:
         """Tells the sinks that record of a frame."""
@@ -276,7 +284,7 @@ class Session:
         return pose
 
     def _count(self, frame: MarkerFrame, pose: Pose) -> None:
-        self.last_pose = pose
+        self.last_pose, self._frame = pose, frame
         hops = self._hops
         if not (math.isnan(frame.t_device) or math.isnan(frame.t_mapped)):
             hops["delay"].passed(frame.t_mapped, frame.t)

@@ -7,6 +7,7 @@ it. What comes faster than that waits for the loop's own thread.
 
 from __future__ import annotations
 
+import math
 import sys
 import threading
 from collections import Counter
@@ -165,11 +166,16 @@ class Stage:
     def _read(self, cast: Cast) -> None:
         """A reader's thread."""
         source, frames = cast.source, cast.backlog.frames
+        due = math.inf  # when to rehearse
         try:
             while not (self._finished.is_set() or source.exhausted):
-                frame = source.read(POLL)
+                frame = source.read(min(POLL, max(0.0, due - self._clock.now())))
                 if frame is None:
+                    if self._clock.now() >= due:
+                        due = math.inf
+                        cast.rehearse()
                     continue
+                due = cast.rehearsal_due(frame)
                 if not (frames or source.ready) and self._taking.acquire(blocking=False):
                     try:
                         self._take([(cast, frame)])
