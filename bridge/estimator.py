@@ -13,6 +13,7 @@ from bridge.compiled import compiled
 from bridge.imputation import Imputation
 from bridge.imputer import NEAR, Imputer
 from bridge.model import BoundNetworks, Model, ModelInfo
+from bridge.networks import CompiledNetworks
 from bridge.pose import Pose, Provenance
 from bridge.regression import Estimate, features_of, regression_of
 from bridge.smoothing import NoiseFilter
@@ -266,7 +267,7 @@ class Jointly:
 
     def __init__(self, estimators: Sequence[PoseEstimator]) -> None:
         self._model = estimators[0].model
-        self._networks: dict[int, BoundNetworks] = {}
+        self._networks: dict[int, BoundNetworks | CompiledNetworks] = {}
 
     def estimate(self, estimators: Sequence[PoseEstimator]) -> list[Estimate]:
         """What the regression says of what each of them asks; the next call may overwrite it."""

@@ -27,8 +27,10 @@ from typing import Any
 
 import numpy as np
 
+from bridge import onnx_file
 from bridge.body_frame import CONSTRUCTIONS, PAPER_FRAME
 from bridge.humanoid.proportions import COUNT
+from bridge.networks import CompiledNetworks, Weights
 from drivers.errors import MarkerbridgeError
 from drivers.frame import Floats
 
@@ -40,6 +42,7 @@ FORMAT = 2
 MAX_HISTORY = 240  # frames of 1/120 s
 METADATA_KEY = "markerbridge"
 DEFAULT = "default"
+SAME = 1e-4  # m and m/s, and of a part: as far as two ways to compute the same may differ
 
 
 class ModelError(MarkerbridgeError):
@@ -162,10 +165,31 @@ class Model:
             inputs = {entry.name: entry.shape for entry in self._session.get_inputs()}
             self.width = int(inputs["x"][1])
             self.leaves = int(inputs["history"][1]) if "history" in inputs else 0
+            self._weights: Weights | None = None
             self._try()
+            if not self.leaves:
+                self._weights = self._compilable(path)
         except Exception as error:
             raise ModelError(f"{path}: not usable as a model: {_line(error)}") from error
         self.path = path
+
+    def _compilable(self, path: Path) -> Weights | None:
+        """What compiled networks run with; None where the graph is of another form than ours, or
+        says anything else than they do.
+        """
+        try:
+            weights = Weights.of(onnx_file.constants(path), len(self.info.labels))
+        except (KeyError, ValueError, OSError):
+            return None
+        mine, theirs = CompiledNetworks(weights), BoundNetworks(self._session, self.info, 1)
+        random = np.random.default_rng(0)
+        for spread in (0.0, 0.3, 3.0):
+            shape = 2, 1, len(self.info.tracked), 3
+            asked = (spread * random.standard_normal(shape)).astype(np.float32)
+            pairs = zip(mine.estimate(*asked)[0], theirs.estimate(*asked)[0], strict=True)
+            if not all(np.allclose(*pair, rtol=SAME, atol=SAME) for pair in pairs):
+                return None
+        return weights
 
     def run(self, x: Floats, history: Floats) -> tuple[Floats, Floats]:
         """z and p of one frame, by a mixture; shapes as at the top of this module."""
@@ -178,8 +202,10 @@ class Model:
         """
         return self.networks(1).estimate(tracked[None], velocity[None])[0]
 
-    def networks(self, count: int) -> BoundNetworks:
+    def networks(self, count: int) -> BoundNetworks | CompiledNetworks:
         """The networks, to be run on so many whole frames at a time, over and over."""
+        if count == 1 and self._weights is not None:
+            return CompiledNetworks(self._weights)
         return BoundNetworks(self._session, self.info, count)
 
     def mixture(self, history: Floats) -> BoundMixture:

@@ -66,7 +66,7 @@ class NetworkRecipe(Recipe):
 
 RECIPES: dict[str, MixtureRecipe | NetworkRecipe] = {
     "best": NetworkRecipe(pose_rows=200_000),
-    "local": MixtureRecipe(plain=False, mirror=True, forest=ForestOptions(trees=35, leaf=20)),
+    "local": MixtureRecipe(plain=False, mirror=True, forest=ForestOptions(trees=50, leaf=10)),
     # Maps that nothing holds back need large leaves. The paper's forest is grown on all frames.
     "paper": MixtureRecipe(
         plain=True,
