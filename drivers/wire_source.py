@@ -143,8 +143,9 @@ class WireSource(Source):
                 self.counters["bad_layout"] += 1
                 continue
             xyz = self._convention.xyz_in(frame.xyz)
-            there = in_range(xyz).all(axis=1, keepdims=True)
-            if not there.all():
+            known = in_range(xyz)
+            if not known.all():
+                there = known.all(axis=1, keepdims=True)
                 given = ~np.isnan(xyz).any(axis=1, keepdims=True)
                 self.counters["out_of_range"] += int((~there & given).sum())
                 xyz = np.where(there, xyz, np.float32(np.nan))

@@ -163,10 +163,10 @@ class CobsDecoder:
     def _read_data(self, body: bytes, number: int, t: float) -> MarkerFrame | None:
         _, _, count, index, microseconds = _DATA_HEAD.unpack_from(body)
         bitmap_end = _DATA_HEAD.size + (count + 7) // 8
-        bits = np.frombuffer(body[_DATA_HEAD.size : bitmap_end], np.uint8)
-        present = np.unpackbits(bits, bitorder="little").astype(bool)
-        values = np.frombuffer(body[bitmap_end:], "<f4").reshape(-1, 3)
-        if present[count:].any() or present.sum() != len(values) or not np.isfinite(values).all():
+        bitmap = body[_DATA_HEAD.size : bitmap_end]
+        values = np.frombuffer(body, "<f4", offset=bitmap_end).reshape(-1, 3)
+        given = int.from_bytes(bitmap, "little")
+        if given >> count or given.bit_count() != len(values) or not np.isfinite(values).all():
             raise ValueError("bitmap and coordinates disagree")
         if self.layout is None:
             self.counters["no_layout"] += 1
@@ -174,8 +174,14 @@ class CobsDecoder:
         if number != self._number or count != len(self.layout.labels):
             self.counters["layout_mismatch"] += 1
             return None
-        xyz = np.full((count, 3), np.nan, np.float32)
-        xyz[present[:count]] = values
+        xyz = np.empty((count, 3), np.float32)
+        if len(values) == count:
+            xyz[:] = values
+        else:
+            bits = np.frombuffer(bitmap, np.uint8)
+            present = np.unpackbits(bits, count=count, bitorder="little").astype(bool)
+            xyz[:] = np.nan
+            xyz[present] = values
         return MarkerFrame(index, t, microseconds / 1e6, self.layout, xyz)
 
 
