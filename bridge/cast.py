@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 
 from bridge.rehearsal import LEAD, SHORTEST
 from bridge.session import Backlog, Session
@@ -39,10 +38,7 @@ class Cast:
             return [(self._alone, frame)]
         if frame.layout is not self._layout:
             self._adopt(frame.layout)
-        return [
-            (session, replace(frame, layout=layout, xyz=frame.xyz[rows]))
-            for session, layout, rows in self._parts
-        ]
+        return [(session, _part(frame, layout, rows)) for session, layout, rows in self._parts]
 
     def rehearsal_due(self, frame: MarkerFrame) -> float:
         """When to rehearse for the frame that comes after this one; never (infinity) where frames
@@ -80,3 +76,11 @@ class Cast:
                 "%s: the option performers names %s; the stream has others' labels, too: %s",
                 *(self.source.name, ", ".join(self.sessions), ", ".join(sorted(others)[:8])),
             )
+
+
+def _part(frame: MarkerFrame, layout: Layout, rows: Rows) -> MarkerFrame:
+    """These rows of a frame; `dataclasses.replace` takes three times as long."""
+    return MarkerFrame(
+        *(frame.index, frame.t, frame.t_device, layout, frame.xyz.take(rows, 0)),
+        *(frame.t_mapped, frame.t_parsed),
+    )

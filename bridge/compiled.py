@@ -32,11 +32,34 @@ def _without(module: str) -> Iterator[None]:
 with _without("scipy.linalg"):
     import numba.np.arraymath  # noqa: F401
     from numba import njit
+    from numba.core import event
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
+COMPILING = "numba:compile"  # what numba calls it when nothing that was kept can be taken
+
 log = logging.getLogger(__name__)
+_said: set[str] = set()
+
+
+def _say_once(message: str, *details: object) -> None:
+    """What is true of one function is true of all. Nobody need have set up logging yet: then
+    Python writes warnings, as they are, to standard error.
+    """
+    if message not in _said:
+        _said.add(message)
+        log.warning(message, *details)
+
+
+class _Telling(event.Listener):
+    """Says that there is something to compile: else the first start is a silent wait."""
+
+    def on_start(self, event: object) -> None:
+        _say_once("compiling for this machine, once: this takes some 20 seconds")
+
+    def on_end(self, event: object) -> None:
+        pass
 
 
 def compiled(signature: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
@@ -49,12 +72,13 @@ def compiled(signature: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
     def compile_it(function: Callable[P, R]) -> Callable[P, R]:
         try:
-            made = njit(signature, cache=True, error_model="numpy")(function)
+            with event.install_listener(COMPILING, _Telling()):
+                made = njit(signature, cache=True, error_model="numpy")(function)
         except Exception as error:  # nowhere to keep it, a full disk, or what was kept is spoilt
-            log.warning(
-                "%s is compiled anew at each start, for what is compiled can be neither kept nor "
-                "read (%s): NUMBA_CACHE_DIR names another folder for it",
-                *(function.__qualname__, error),
+            _say_once(
+                "compiling anew at each start, which takes some 20 seconds, for what is compiled "
+                "can be neither kept nor read (%s): NUMBA_CACHE_DIR names another folder for it",
+                error,
             )
             made = njit(signature, error_model="numpy")(function)
         return cast(Callable[P, R], made)

@@ -46,7 +46,7 @@ class Weights:
         """
         mean = constants["mean"].ravel()
         return cls(
-            *(mean, float(constants["unit"][0]), float(constants["slow"][0])),
+            *(mean, _number(constants["unit"]), _number(constants["slow"])),
             *_layers(constants, "pose", len(mean), 4 * markers),
             *_layers(constants, "velocity", 2 * len(mean), 3 * markers),
             markers,
@@ -89,6 +89,12 @@ class CompiledNetworks:
             self._moving,
         )
         return self._found
+
+
+def _number(constant: Floats) -> float:
+    if constant.shape != (1,):
+        raise ValueError(f"{constant.shape} in place of a number")
+    return float(constant[0])
 
 
 def _layers(

@@ -164,8 +164,8 @@ def _parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar="SINK",
-        help="vmc://HOST, vrchat://HOST, vmt://HOST, qtm-osc://HOST:PORT, osc://HOST, c3d:FILE, "
-        "log:FILE or view: (any number of times)",
+        help="vmc://HOST, vrchat://HOST, vmt://HOST, qtm-osc://HOST:PORT, osc://HOST, "
+        "mqtt://HOST/TOPIC, c3d:FILE, log:FILE or view: (any number of times)",
     )
     add("--truth", metavar="URL", help="osc://HOST:PORT: where a simulator sends the true poses")
     add(
