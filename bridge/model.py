@@ -182,12 +182,27 @@ class Model:
         except (KeyError, ValueError, OSError):
             return None
         mine, theirs = CompiledNetworks(weights), BoundNetworks(self._session, self.info, 1)
-        random = np.random.default_rng(0)
+        random, tracked = np.random.default_rng(0), len(self.info.tracked)
         for spread in (0.0, 0.3, 3.0):
-            shape = 2, 1, len(self.info.tracked), 3
-            asked = (spread * random.standard_normal(shape)).astype(np.float32)
+            shape = 5, 1, tracked, 3
+            x, v, then, left, pace = (spread * random.standard_normal(shape)).astype(np.float32)
+            present = np.arange(tracked) % 3 > 0
+            x[0, ~present] = 0.0
+            age = np.array([0.1 + spread])
+            memory = np.concatenate([then.ravel(), left.ravel(), pace.ravel(), age])
             with np.errstate(over="ignore"):  # of a graph that says anything
-                pairs = list(zip(mine.estimate(*asked)[0], theirs.estimate(*asked)[0], strict=True))
+                pairs = [
+                    *zip(mine.estimate(x, v)[0], theirs.estimate(x, v)[0], strict=True),
+                    *zip(
+                        mine.recall(x[0], present, then, left, pace, age),
+                        self.recall(
+                            x.reshape(1, -1),
+                            present[None].astype(np.float32),
+                            memory[None].astype(np.float32),
+                        ),
+                        strict=True,
+                    ),
+                ]
             if not all(np.allclose(*pair, rtol=SAME, atol=SAME) for pair in pairs):
                 return None
         return weights

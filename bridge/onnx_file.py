@@ -9,20 +9,24 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-
-from drivers.frame import Floats
+import numpy.typing as npt
 
 _GRAPH, _INITIALIZER = 7, 5
 _SHAPE, _TYPE, _NAME, _RAW = 1, 2, 8, 9
-_FLOAT = 1
+_TYPES: dict[int, np.dtype[Any]] = {1: np.dtype("<f4"), 7: np.dtype("<i8")}
 _VARINT, _EIGHT, _BYTES, _FOUR = 0, 1, 2, 5  # how a field is written
 
 
-def constants(path: Path) -> dict[str, Floats]:
-    """All float32 constants of a model's graph, by name. Raises ValueError and OSError."""
-    found: dict[str, Floats] = {}
+Constant = npt.NDArray[Any]
+Constants = dict[str, Constant]
+
+
+def constants(path: Path) -> Constants:
+    """All float32 and int64 constants of a model's graph, by name. Raises ValueError, OSError."""
+    found: Constants = {}
     try:
         for graph in _under(memoryview(path.read_bytes()), _GRAPH):
             for tensor in _under(graph, _INITIALIZER):
@@ -32,7 +36,7 @@ def constants(path: Path) -> dict[str, Floats]:
     return found
 
 
-def _tensor(tensor: memoryview) -> dict[str, Floats]:
+def _tensor(tensor: memoryview) -> Constants:
     """A tensor by its name; nothing where it is of another type."""
     shape: list[int] = []
     kind, name, raw = 0, "", memoryview(b"")
@@ -45,9 +49,9 @@ def _tensor(tensor: memoryview) -> dict[str, Floats]:
             name = bytes(value).decode()
         elif field == _RAW and isinstance(value, memoryview):
             raw = value
-    if kind != _FLOAT or len(raw) != 4 * math.prod(shape):
+    if kind not in _TYPES or len(raw) != _TYPES[kind].itemsize * math.prod(shape):
         return {}
-    return {name: np.frombuffer(raw, "<f4").reshape(shape).astype(np.float32)}
+    return {name: np.frombuffer(raw, _TYPES[kind]).reshape(shape).copy()}
 
 
 def _under(data: memoryview, field: int) -> Iterator[memoryview]:

@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from bridge.imputation import ConditionalGaussian
 from bridge.model import Model, ModelInfo
+from bridge.networks import CompiledNetworks
 from drivers.frame import Floats
 
 Array = npt.NDArray[np.float64]
@@ -98,6 +99,9 @@ class NetworkRegression:
         self, tracked: Floats, present: Mask, sightings: Sightings, placed: float
     ) -> tuple[Floats, Floats]:
         """See `Regression`. The network has learned what a body frame out of place costs."""
+        if isinstance(self._networks, CompiledNetworks):
+            parts = sightings.then, sightings.left, sightings.pace, sightings.age
+            return self._networks.recall(tracked, present, *parts)
         count, width = len(sightings.age), tracked.size
         shown: Floats = np.zeros((count, *tracked.shape), np.float32)
         shown[:, present] = tracked[present]

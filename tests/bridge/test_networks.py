@@ -79,6 +79,30 @@ def test_they_say_what_the_graph_says(model, spread) -> None:
             np.testing.assert_allclose(found, expected, rtol=2e-4, atol=1e-5 * max(1.0, spread))
 
 
+@pytest.mark.parametrize("age", [1 / 120, 0.3, 2.9, 30.0, 1e6])
+@pytest.mark.parametrize("spread", [0.1, 1.0])
+def test_they_recall_what_the_graph_recalls(model, age, spread) -> None:
+    compiled, _ = both(model)
+    random, tracked = np.random.default_rng(4), len(model.info.tracked)
+    for count in (1, 2, tracked):
+        present = np.ones(tracked, bool)
+        present[random.permutation(tracked)[:count]] = False
+        xyz = (spread * random.standard_normal((tracked, 3))).astype(np.float32)
+        xyz[~present] = np.nan  # as they come
+        shape = 3, count, tracked, 3
+        then, left, pace = (spread * random.standard_normal(shape)).astype(np.float32)
+        ages = age * np.arange(1, count + 1)
+        memory = [part.reshape(count, -1) for part in (then, left, pace, ages[:, None])]
+        expected = model.recall(
+            np.tile(np.nan_to_num(xyz).reshape(1, -1), (count, 1)),
+            np.tile(present.astype(np.float32), (count, 1)),
+            np.concatenate(memory, axis=1).astype(np.float32),
+        )
+        found = compiled.recall(xyz, present, then, left, pace, ages)
+        for said, wanted in zip(found, expected, strict=True):
+            np.testing.assert_allclose(said, wanted, rtol=2e-4, atol=2e-5)
+
+
 def test_two_that_run_at_a_time_share_their_weights_and_nothing_else(model) -> None:
     one, other = model.networks(1), model.networks(1)
     still = np.zeros((1, len(model.info.tracked), 3), np.float32)
@@ -87,7 +111,7 @@ def test_two_that_run_at_a_time_share_their_weights_and_nothing_else(model) -> N
     other.estimate(still + np.float32(0.3), still)
     for part, before in zip(first, kept, strict=True):
         np.testing.assert_array_equal(part, before)
-    assert one._weights is other._weights
+    assert one.weights is other.weights
 
 
 def renamed(graph: onnx.GraphProto) -> None:
@@ -137,8 +161,7 @@ def test_constants_are_those_that_the_onnx_library_reads(mixture_model) -> None:
         found = onnx_file.constants(path)
         for tensor in onnx.load(path).graph.initializer:
             expected = numpy_helper.to_array(tensor)
-            if expected.dtype == np.float32:
-                np.testing.assert_array_equal(found.pop(tensor.name), expected)
+            np.testing.assert_array_equal(found.pop(tensor.name), expected, strict=True)
         assert not found
 
 
