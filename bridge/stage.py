@@ -1,8 +1,8 @@
 """The run loop: sources on the one side, the sessions of performers on the other.
 
-The threads that frames travel on are here and in the sinks' outlets. A frame is taken through at
-once by the thread that read it, as long as none waits: to hand it over costs as much as to estimate
-it. What comes faster than that waits for the loop's own thread.
+The threads that frames travel on are here and in the sinks' outlets. A frame is taken through by
+the thread that read it: to hand it over would cost as much as to estimate it. What comes meanwhile
+is read before the next is taken through, and waits in a queue of a second.
 """
 
 from __future__ import annotations
@@ -14,10 +14,9 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from itertools import chain
 from typing import TypeVar
 
-from bridge.cast import Cast, Part
+from bridge.cast import Cast
 from bridge.estimator import Jointly
 from bridge.session import Session, Status
 from bridge.sinks.sink import SinkError
@@ -29,6 +28,7 @@ T = TypeVar("T")
 
 FIFO = 1.0  # s of frames that may wait for the estimator
 POLL = 0.1  # s between looks at whether to stop
+AT_ONCE = 64  # frames that are read before one is taken through: a flood must not keep it waiting
 SWITCH = 0.0005  # s that a thread which tells of a session may keep a frame waiting
 
 
@@ -40,9 +40,9 @@ class Stage:
         self.sessions = {name: session for cast in casts for name, session in cast.sessions.items()}
         self._clock = clock
         self._jointly = Jointly([session.estimator for session in self.sessions.values()])
-        self._wake = threading.Condition()
         self._taking = threading.Lock()  # whoever takes frames through holds it
         self._finished = threading.Event()
+        self._ended = threading.Event()  # a reader has
         self._error: Exception | None = None
 
     @classmethod
@@ -71,22 +71,20 @@ class Stage:
             for reader in readers:
                 reader.start()
             try:
-                while not (stop.is_set() or self._error):
-                    if end is not None and self._clock.now() >= end:
+                while any(reader.is_alive() for reader in readers):
+                    left = POLL if end is None else min(POLL, end - self._clock.now())
+                    if stop.is_set() or self._error or left <= 0:
                         break
-                    with self._wake:
-                        if not self._waiting():
-                            if not any(reader.is_alive() for reader in readers):
-                                break
-                            self._wake.wait(POLL)
-                    if not self._take_waiting():
-                        self._tell_lost()
+                    self._ended.wait(left)
+                    self._ended.clear()
+                    self._tell_lost()
             finally:
                 self._finished.set()
                 for reader in readers:
                     reader.join(2.0)
-        while self._take_waiting():  # what has come in goes out
-            pass
+        for cast in self.casts:  # what has come in goes out
+            while cast.backlog.frames:
+                self._take_oldest(cast)
         if self._error:
             raise self._error
 
@@ -131,32 +129,18 @@ class Stage:
             performers=known,
         )
 
-    def _waiting(self) -> bool:
-        return any(cast.backlog.frames for cast in self.casts)
-
-    def _take_waiting(self) -> bool:
-        """Takes the oldest waiting frame of each source through; whether there was one."""
+    def _take_oldest(self, cast: Cast) -> None:
+        """Takes the oldest waiting frame through: those in it who ask the model do so together."""
         with self._taking:
-            with self._wake:
-                came = [
-                    (cast, cast.backlog.frames.popleft())
-                    for cast in self.casts
-                    if cast.backlog.frames
-                ]
-                self._wake.notify_all()
-            self._take(came)
-        return bool(came)
-
-    def _take(self, came: Sequence[tuple[Cast, MarkerFrame]]) -> None:
-        parts: list[Part] = list(chain.from_iterable(cast.parts(frame) for cast, frame in came))
-        if len(parts) == 1:
-            session, frame = parts[0]
-            session.handle(frame)
-            return
-        asking = [(session, frame) for session, frame in parts if session.begin(frame) is None]
-        estimates = self._jointly.estimate([session.estimator for session, _ in asking])
-        for (session, frame), estimate in zip(asking, estimates, strict=True):
-            session.finish(frame, estimate)
+            parts = cast.parts(cast.backlog.frames.popleft())
+            if len(parts) == 1:
+                session, frame = parts[0]
+                session.handle(frame)
+                return
+            asking = [(session, frame) for session, frame in parts if session.begin(frame) is None]
+            estimates = self._jointly.estimate([session.estimator for session, _ in asking])
+            for (session, frame), estimate in zip(asking, estimates, strict=True):
+                session.finish(frame, estimate)
 
     def _tell_lost(self) -> None:
         with self._taking:
@@ -165,7 +149,7 @@ class Stage:
 
     def _read(self, cast: Cast) -> None:
         """A reader's thread."""
-        source, frames = cast.source, cast.backlog.frames
+        source, backlog = cast.source, cast.backlog
         due = math.inf  # when to rehearse
         try:
             while not (self._finished.is_set() or source.exhausted):
@@ -176,35 +160,30 @@ class Stage:
                         cast.rehearse()
                     continue
                 due = cast.rehearsal_due(frame)
-                if not (frames or source.ready) and self._taking.acquire(blocking=False):
-                    try:
-                        self._take([(cast, frame)])
-                    finally:
-                        self._taking.release()
-                elif not self._put(cast, frame):
-                    return
+                self._put(cast, frame)
+                while backlog.frames and not self._finished.is_set():
+                    began = self._clock.now()
+                    self._take_oldest(cast)
+                    late = self._clock.now() - began > 1.0 / frame.layout.rate
+                    for _ in range(AT_ONCE):
+                        # What has come is read before more is done, so that it has its true time.
+                        if not (source.ready or (late and source.live)):
+                            break
+                        if (more := source.read(0.0)) is None:
+                            break
+                        self._put(cast, more)
         except Exception as error:  # for the caller's thread to raise
             self._error = error
         finally:
-            with self._wake:
-                self._wake.notify_all()
+            self._ended.set()
 
-    def _put(self, cast: Cast, frame: MarkerFrame) -> bool:
-        """Lets a frame wait. A file waits for room, and may wait in vain: False; of a live stream
-        the oldest frame makes room, and is counted.
-        """
+    def _put(self, cast: Cast, frame: MarkerFrame) -> None:
+        """Lets a frame wait; where too many do, the oldest makes room, and is counted."""
         backlog, room = cast.backlog, max(2.0, FIFO * frame.layout.rate)
-        with self._wake:
-            while not cast.source.live and len(backlog.frames) >= room:
-                if self._finished.is_set():
-                    return False
-                self._wake.wait(POLL)
-            backlog.frames.append(frame)
-            if len(backlog.frames) > room:
-                cast.record(backlog.frames.popleft())
-                backlog.overflow += 1
-            self._wake.notify_all()
-        return True
+        backlog.frames.append(frame)
+        if len(backlog.frames) > room and cast.source.live:
+            cast.record(backlog.frames.popleft())
+            backlog.overflow += 1
 
 
 def _worst(ages: Iterable[Ages]) -> Ages:

@@ -97,7 +97,8 @@ def test_one_stream_of_three_gives_the_poses_of_three_streams(walks, kind, reque
         device.send(encoder.encode_frame(index, index / RATE, places.reshape(-1, 3)))
         frame = source.read(0.1)
         assert frame is not None
-        stage._take([(stage.casts[0], frame)])
+        stage._put(stage.casts[0], frame)
+        stage._take_oldest(stage.casts[0])
     alone = Layout(model.info.tracked, RATE)
     for who, name in enumerate(NAMES):
         estimator, poses = PoseEstimator(model), kept(sessions[name])
