@@ -17,7 +17,7 @@ from pythonosc.osc_message_builder import OscMessageBuilder
 
 MAX_DEPTH = 4
 MAX_MESSAGES = 1024  # of a packet: as many as 64 KiB hold would keep a core busy
-MAX_ARGUMENTS = 1024  # of a message
+MAX_ARGUMENTS = 4096  # of a message
 MAX_ADDRESS = 256  # bytes, padding included
 LONGEST_LABEL = 255  # characters
 
@@ -158,7 +158,7 @@ def arguments(message: OscMessage) -> list[Any]:
     return values
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=64)
 def _plan(types: str) -> tuple[struct.Struct | str, ...]:
     """How to read arguments: numbers that follow each other are read at once."""
     return tuple(

@@ -20,13 +20,13 @@ import numpy as np
 
 from drivers.frame import Floats, Layout, MarkerFrame
 from drivers.url import Url
-from drivers.wire.assembler import MOST
 from drivers.wire.osc import OscError, OscMessage, arguments, build, label_of, messages
 
 FRAME = "cmu"  # metres, Z up
 
 LAYOUT_ADDRESS = "/markerbridge/layout"
 FRAME_ADDRESS = "/markerbridge/frame"
+MOST = 1024  # labels: of a hundred performers
 _HEAD = struct.Struct(">iId")
 # Index, check and time, as their type tags say. Senders without doubles (TouchDesigner) write the
 # time as a float.
@@ -106,7 +106,7 @@ class NativeOscDecoder:
         if not isinstance(rate, (int, float)) or not labels:
             raise ValueError("layout is a rate and labels")
         if len(labels) > MOST:
-            raise ValueError(f"more than {MOST} labels")
+            raise ValueError(f"more than {MOST:,} labels")
         names = tuple(label_of(label) for label in labels)
         layout = Layout(names, float(rate))
         if layout != self.layout:

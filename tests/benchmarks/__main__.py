@@ -20,6 +20,7 @@ from tests.benchmarks import (
     highest_rate,
     latency,
     nearest,
+    performers,
     resources,
     speed,
     training_time,
@@ -35,6 +36,7 @@ PARTS: dict[str, Callable[[Plan], Iterator[Row]]] = {
     "nearest": nearest.rows,
     "latency": latency.rows,
     "rate": highest_rate.rows,
+    "performers": performers.rows,
     "resources": resources.rows,
     "growth": growth.rows,
 }

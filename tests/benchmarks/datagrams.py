@@ -4,6 +4,7 @@ packet it answers, also where some were lost on the way.
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Sequence
 
@@ -16,7 +17,7 @@ MARK = b"none"
 
 _OK, _OK_AT = b"/VMC/Ext/OK\0,i\0\0", 20  # after `#bundle`, a time tag and a size
 _T, _T_AT = b"/VMC/Ext/T\0\0,f\0\0", 44
-_POSE = b"/markerbridge/pose\0\0"
+_POSE = re.compile(rb"/markerbridge/(?:[^/\0]+/)?pose\0+")  # of one of several, with a name
 
 Times = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
@@ -28,8 +29,8 @@ def number_of(head: bytes, rate: float) -> float | None:
     """
     if head.startswith(MARK):
         return float(NOTHING.unpack_from(head)[1])
-    if head.startswith(_POSE):
-        tags_end = head.index(b"\0", len(_POSE))
+    if pose := _POSE.match(head):
+        tags_end = head.index(b"\0", pose.end())
         return float(struct.unpack_from(">i", head, (tags_end // 4 + 1) * 4)[0])
     if head.startswith(_T, _T_AT):
         return float(struct.unpack_from(">f", head, _T_AT + len(_T))[0]) * rate

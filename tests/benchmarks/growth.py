@@ -84,7 +84,7 @@ def rows(plan: Plan) -> Iterator[Row]:
             "that of one",
             note=f"{100 * share:.0f} % of a core at 120 Hz",
         )
-    minutes = plan.either(8.0, 1.5)
+    minutes = plan.either(4.0, 0.75)
     outcome = alone(play, minutes)
     if outcome.wrong:
         raise RuntimeError(f"tests.benchmarks.hour: {outcome.wrong[0]}")

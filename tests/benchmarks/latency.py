@@ -27,8 +27,9 @@ SINKS = {
 
 def rows(plan: Plan) -> Iterator[Row]:
     labels = Model(DEFAULT).info.tracked
-    for name, sink in SINKS.items():
-        for rate in RATES if name == "VMC" else RATES[:: len(RATES) - 1]:
+    for name in plan.either([*SINKS], ["VMC"]):
+        sink, all_rates = SINKS[name], name == "VMC" and not plan.quick
+        for rate in RATES if all_rates else RATES[:: len(RATES) - 1]:
             ours, nothing = [], []
             for _ in range(plan.either(TURNS, 1) if name == "VMC" else 1):
                 made = walking(labels, rate, plan.either(8.0, 4.0))

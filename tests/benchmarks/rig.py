@@ -28,11 +28,12 @@ import numpy as np
 from drivers.frame import Layout
 from drivers.wire.cobs import CobsEncoder
 from simulators.performer import load_performer
-from tests.benchmarks.datagrams import HEAD, Times, answered, number_of
+from tests.benchmarks.datagrams import HEAD, Rows, Times, answered, number_of
 from tests.benchmarks.machine import cpu_seconds, memory
 
 WARM = 1.0  # s at the beginning of a stream that do not count
 PATIENCE = 30.0  # s: a bridge that takes longer to do the least thing is stuck
+LONGEST = 120.0  # s that a start may take: what is not compiled yet takes some
 LEAD = 0.3  # s from the hello to the first packet
 TRAIL = 0.5  # s that the engine listens after the last packet
 RECEIVE_BUFFER = 4 << 20
@@ -75,29 +76,54 @@ def walking(labels: tuple[str, ...], rate: float, seconds: float) -> Stream:
     return Stream(rate, head, packets, len(packet.strip(b"\0")))
 
 
-class Rig:
-    """The two ends. came: of each datagram its time, seconds since 1970, and its first bytes.
-    largest: bytes of the largest one.
+class Engine:
+    """A UDP port of this machine that notes what comes. came: of each datagram its time, seconds
+    since 1970, and its first bytes. largest: bytes of the largest one.
     """
+
+    def __init__(self) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+        self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+        self._socket.bind(("127.0.0.1", 0))
+        self._socket.setblocking(False)
+        self.port: int = self._socket.getsockname()[1]
+        self.came: list[tuple[float, bytes]] = []
+        self.largest = 0
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
+    def receive(self) -> None:
+        """Takes all that has come."""
+        while True:
+            try:
+                data, ancillary, *_ = self._socket.recvmsg(65_536, 64)
+            except BlockingIOError:
+                return
+            seconds, nanoseconds = _STAMP.unpack(ancillary[0][2])
+            self.came.append((seconds + nanoseconds * 1e-9, data[:HEAD]))
+            self.largest = max(self.largest, len(data))
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class Rig:
+    """The two ends, and how often the bridge has said hello: `asked`."""
 
     def __init__(self) -> None:
         self._device, self._host = os.openpty()
         tty.setraw(self._host)
         os.set_blocking(self._device, False)
         self._rest = b""  # of a packet of which not all could be written yet
-        self._engine = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._engine.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
-        self._engine.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
-        self._engine.bind(("127.0.0.1", 0))
-        self._engine.setblocking(False)
-        self.came: list[tuple[float, bytes]] = []
-        self.largest = 0
-        self.asked = 0  # hellos
+        self.engine = Engine()
+        self.asked = 0
 
     def command(self, words: Sequence[str]) -> list[str]:
         """The words of a bridge's command with this rig's line and port in them."""
-        port = self._engine.getsockname()[1]
-        return [word.format(pty=os.ttyname(self._host), port=port) for word in words]
+        pty = os.ttyname(self._host)
+        return [word.format(pty=pty, port=self.engine.port) for word in words]
 
     def play(self, stream: Stream, until: Callable[[], bool] = lambda: False) -> Times:
         """Sends the stream, or its beginning; when each packet was written, (m,) seconds since
@@ -122,7 +148,7 @@ class Rig:
             self._take(left)
 
     def close(self) -> None:
-        self._engine.close()
+        self.engine.close()
         os.close(self._device)
         os.close(self._host)
 
@@ -135,23 +161,13 @@ class Rig:
     def _take(self, timeout: float) -> None:
         """What comes next, if it comes in time."""
         unsent = [self._device] if self._rest else []
-        readable, writable, _ = select.select([self._engine, self._device], unsent, [], timeout)
+        readable, writable, _ = select.select([self.engine, self._device], unsent, [], timeout)
         if writable:
             self._rest = self._rest[os.write(self._device, self._rest) :]
         if self._device in readable and os.read(self._device, 4096):
             self.asked += 1
-        if self._engine in readable:
-            self._receive()
-
-    def _receive(self) -> None:
-        while True:
-            try:
-                data, ancillary, *_ = self._engine.recvmsg(65_536, 64)
-            except BlockingIOError:
-                return
-            seconds, nanoseconds = _STAMP.unpack(ancillary[0][2])
-            self.came.append((seconds + nanoseconds * 1e-9, data[:HEAD]))
-            self.largest = max(self.largest, len(data))
+        if self.engine in readable:
+            self.engine.receive()
 
     def _write(self, packet: bytes) -> float:
         if self._rest:
@@ -185,10 +201,10 @@ def started(command: Sequence[str], **environment: str) -> Iterator[subprocess.P
 class Passage:
     """What went through a bridge.
 
-    rate: Hz. sent: frames. refused: of them, for which the line had no room. lost: of them, not
-    answered. ages: seconds from a packet's writing to its datagram, but for the first second. cpu:
-    of the bridge, in share of one core. memory, peak: its MB, at the end and at most. datagram:
-    bytes of the largest. report: what `run --json` says.
+    rate: Hz, as frames were sent in fact. sent: frames. refused: of them, for which the line had no
+    room. lost: of them, not answered. ages: seconds from a packet's writing to its datagram, but
+    for the first second. cpu: of the bridge, in share of one core. memory, peak: its MB, at the end
+    and at most. datagram: bytes of the largest. report: what `run --json` says.
     """
 
     rate: float
@@ -219,10 +235,10 @@ def measure(words: Sequence[str], stream: Stream) -> Passage:
         now, peak = memory(process.pid), memory(process.pid, "VmHWM")
         process.send_signal(signal.SIGINT)
         said, _ = process.communicate(timeout=PATIENCE)
-    times, rows = _answers(rig, stream, written)
+    times, rows = answers(rig.engine, stream.rate, written)
     ages = times - written[rows]
     return Passage(
-        stream.rate,
+        pace(written),
         len(written),
         int(np.isnan(written).sum()),
         len(written) - len(np.unique(rows)),
@@ -230,24 +246,30 @@ def measure(words: Sequence[str], stream: Stream) -> Passage:
         cpu / (took - TRAIL),
         now,
         peak,
-        rig.largest,
+        rig.engine.largest,
         json.loads(said) if said else {},
     )
 
 
 def _await_hello(rig: Rig, process: subprocess.Popen[str]) -> None:
-    deadline = time.monotonic() + PATIENCE
+    deadline = time.monotonic() + LONGEST
     while not rig.asked:
         rig.listen(0.01)
         if process.poll() is not None:
             raise RuntimeError(f"the bridge ended: {process.communicate()[1]}")
         if time.monotonic() > deadline:
-            raise RuntimeError(f"no hello from the bridge in {PATIENCE:.0f} s")
+            raise RuntimeError(f"no hello from the bridge in {LONGEST:.0f} s")
 
 
-def _answers(rig: Rig, stream: Stream, written: Times) -> tuple[Times, Any]:
+def pace(written: Times) -> float:
+    """Frames a second, by when each was sent, (m,) seconds; NaN where it was not."""
+    rows = np.flatnonzero(~np.isnan(written))
+    return float((rows[-1] - rows[0]) / (written[rows[-1]] - written[rows[0]]))
+
+
+def answers(engine: Engine, rate: float, written: Times) -> tuple[Times, Rows]:
     """When each datagram that tells of a frame came, and the row of the packet that it answers."""
-    told = [(at, number_of(head, stream.rate)) for at, head in rig.came]
+    told = [(at, number_of(head, rate)) for at, head in engine.came]
     known = [(at, number) for at, number in told if number is not None]
     times = np.array([at for at, _ in known], float)
     return times, answered([number for _, number in known], times, written)

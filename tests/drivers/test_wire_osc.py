@@ -137,6 +137,7 @@ HEAVY = {
         message("/VMC/Ext/Tra/Pos", ("s", f"{i}"), *[("f", 1.0)] * 7) for i in range(900)
     ],
     "1,000 arguments": [message("/VMC/Ext/OK", *[("s", "x")] * 1000)] * 12,
+    "4,000 arguments": [message("/VMC/Ext/OK", *[("s", "x")] * 4000)] * 3,
     "one marker 1,024 times": [message("/marker", ("i", 1), *[("f", 1.0)] * 3)] * 1024,
 }
 
@@ -211,7 +212,9 @@ def test_no_changed_packet_does_harm_and_the_next_good_one_is_read(data) -> None
         ("bad_packet", message("/markerbridge/layout", ("d", 1.0), ("s", "a" * 256)).dgram),
         (
             "bad_packet",
-            message("/markerbridge/layout", ("d", 1.0), *(("s", str(i)) for i in range(256))).dgram,
+            message(
+                "/markerbridge/layout", ("d", 1.0), *(("s", str(i)) for i in range(1025))
+            ).dgram,
         ),
         ("layout_mismatch", message("/markerbridge/frame", ("i", 1), ("d", 0.0)).dgram),
     ],
@@ -232,6 +235,20 @@ def test_a_sender_without_doubles_is_understood() -> None:
         message("/markerbridge/frame", ("i", 5), ("f", 0.25), *values).dgram, 0.0
     )
     assert (frame.index, frame.t_device) == (5, 0.25)
+
+
+def test_a_stream_of_a_hundred_performers_is_read_and_a_larger_one_refused() -> None:
+    for count, read in ((1024, 1), (1025, 0)):
+        encoder, decoder = NativeOscEncoder(), NativeOscDecoder()
+        layout = Layout(tuple(f"p{i // 9}:{i % 9}" for i in range(count)), 120.0)
+        xyz = np.arange(3 * count, dtype=np.float32).reshape(-1, 3)
+        decoder.feed(encoder.encode_layout(layout), 0.0)
+        found = decoder.feed(encoder.encode_frame(0, 0.0, xyz), 0.0)
+        assert len(found) == read
+        for frame in found:
+            assert frame.layout == layout
+            np.testing.assert_array_equal(frame.xyz, xyz)
+        assert decoder.counters["bad_packet"] == 1 - read
 
 
 def test_a_frame_before_the_layout_is_counted() -> None:

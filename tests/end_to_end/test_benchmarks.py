@@ -16,13 +16,18 @@ import pytest
 from bridge.estimator import PoseEstimator
 from bridge.humanoid.solver import HumanoidSolver
 from bridge.model import DEFAULT, Model
+from bridge.sinks.pose_message import PoseMessages
 from bridge.sinks.registry import open_sink
 from bridge.sinks.sink import SinkContext
 from drivers.frame import Layout, MarkerFrame
+from drivers.wire.osc_native import NativeOscDecoder
+from simulators.corruption import Faults, Gaps
 from simulators.performer import load_performer
+from simulators.several import APART
+from tests.benchmarks.crowd import SHIFTED, stream_of
 from tests.benchmarks.datagrams import HEAD, answered, has_pose, number_of
 from tests.benchmarks.highest_rate import what_is_wrong
-from tests.benchmarks.rig import NOTHING, Passage, measure, walking
+from tests.benchmarks.rig import NOTHING, Passage, measure, pace, walking
 from tests.benchmarks.table import Goal, Row, as_json
 
 RATE = 120.0
@@ -60,6 +65,15 @@ def test_a_datagram_tells_its_frame(scheme: str) -> None:
 def test_other_datagrams_tell_none() -> None:
     assert number_of(b"/something/else\0,\0\0\0", RATE) is None
     assert not has_pose(b"")
+
+
+def test_a_datagram_of_one_of_several_tells_its_frame_too() -> None:
+    model, walker = Model(DEFAULT), load_performer("walk")
+    frame = MarkerFrame(5, 0.0, 0.0, walker.layout, walker.pose(0), 0.0)
+    pose = PoseEstimator(model).step(frame)
+    messages = PoseMessages(Layout(model.info.labels, RATE), 1.0, "ann")
+    assert number_of(messages.pose(pose, 0.0, pose.xyz)[:HEAD], RATE) == 5
+    assert number_of(messages.layout(RATE)[:HEAD], RATE) is None
 
 
 def rows(numbers: list[float], came: list[float], written: list[float]) -> list[int]:
@@ -128,16 +142,41 @@ def test_a_loss_anywhere_is_told() -> None:
     sink = {"dropped": 0, "rate_limited": 0, "errors": 0}
     report = {"source": {"missing": 0, "fifo_overflow": 0}, "sinks": {"vmc": sink}}
     well = Passage(RATE, 500, 0, 0, np.full(400, 0.001), 0.1, 1.0, 1.0, 100, report)
-    assert what_is_wrong(well) == ""
-    assert what_is_wrong(replace(well, lost=3)) == "3 never answered"
-    assert what_is_wrong(replace(well, refused=1)) == "1 that the line had no room for"
+    assert what_is_wrong(well, RATE) == ""
+    assert what_is_wrong(replace(well, lost=3), RATE) == "3 never answered"
+    assert what_is_wrong(replace(well, refused=1), RATE) == "1 that the line had no room for"
     source = {"missing": 2, "fifo_overflow": 7}
     lossy = {"source": source, "sinks": {"vmc": sink | {"dropped": 4}}}
     assert (
-        what_is_wrong(replace(well, report=lossy)) == "2 missing, 7 fifo_overflow, 4 poses dropped"
+        what_is_wrong(replace(well, report=lossy), RATE)
+        == "2 missing, 7 fifo_overflow, 4 poses dropped"
     )
     behind = np.linspace(0.001, 0.5, 400)
-    assert "ms late in the end" in what_is_wrong(replace(well, ages=behind))
+    assert "ms late in the end" in what_is_wrong(replace(well, ages=behind), RATE)
+
+
+def test_a_tracker_that_is_slow_itself_proves_nothing() -> None:
+    report = {"source": {}, "sinks": {}}
+    slow = Passage(900.0, 500, 0, 0, np.full(400, 0.001), 0.1, 1.0, 1.0, 100, report)
+    assert what_is_wrong(slow, 1000.0) == "900/s was all that the tracker sent"
+    assert pace(np.array([0.0, NAN, 1.0, 1.5])) == 2.0
+
+
+def test_a_tracker_of_several_sends_each_under_their_name() -> None:
+    labels, names = ("C7", "LSHO", "RSHO"), ("ann", "bob")
+    decoder = NativeOscDecoder()
+    made = stream_of(names, labels, RATE, 2.0, Faults(gaps=Gaps(0.1, 10, 100)))
+    decoder.feed(made.layout, 0.0)
+    xyz = np.array([decoder.feed(packet, 0.0)[0].xyz for packet in made.packets])
+    assert decoder.layout is not None
+    assert decoder.layout.labels == ("ann:C7", "ann:LSHO", "ann:RSHO", *decoder.layout.labels[3:])
+    assert decoder.layout.labels[3:] == ("bob:C7", "bob:LSHO", "bob:RSHO")
+    ann, bob = np.isnan(xyz[:, :, 0]).reshape(-1, 2, 3).transpose(1, 0, 2)
+    assert 0.0 < ann.mean() < 0.4
+    assert (ann != bob).any()  # gaps of their own
+    both = ~(ann[SHIFTED:, 0] | bob[:-SHIFTED, 0])
+    apart = xyz[:-SHIFTED, 3] - xyz[SHIFTED:, 0]  # where ann comes to, but beside
+    np.testing.assert_allclose(apart[both], np.tile([0.0, APART, 0.0], (both.sum(), 1)), atol=1e-5)
 
 
 def test_the_rig_counts_every_frame_of_the_bridge_that_does_nothing() -> None:
