@@ -56,7 +56,7 @@ class _Telling(event.Listener):
     """Says that there is something to compile: else the first start is a silent wait."""
 
     def on_start(self, event: object) -> None:
-        _say_once("compiling for this machine, once: this takes some 20 seconds")
+        _say_once("compiling for this machine, once: this takes about half a minute")
 
     def on_end(self, event: object) -> None:
         pass
@@ -76,7 +76,7 @@ def compiled(signature: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
                 made = njit(signature, cache=True, error_model="numpy")(function)
         except Exception as error:  # nowhere to keep it, a full disk, or what was kept is spoilt
             _say_once(
-                "compiling anew at each start, which takes some 20 seconds, for what is compiled "
+                "compiling anew at each start, which takes half a minute, for what is compiled "
                 "can be neither kept nor read (%s): NUMBA_CACHE_DIR names another folder for it",
                 error,
             )

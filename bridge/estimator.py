@@ -212,14 +212,12 @@ class PoseEstimator:
 
     def _doubted(self, sigma: Floats) -> Floats:
         """The sigma (M,) of a pose, from that of one whose tracked markers are all measured."""
+        found = sigma.copy()
         if self._lacking is None:
-            sigma = sigma.copy()
-            sigma[self._rows] = NOISE
-            return sigma
-        variance = self._lacking.astype(float) ** 2 + self._imputer.away**2
-        sigma = np.sqrt(sigma**2 + self._influence @ variance).astype(np.float32)
-        sigma[self._rows] = np.sqrt(variance + NOISE**2)
-        return sigma
+            found[self._rows] = NOISE
+        else:
+            _doubt(self._lacking, self._imputer.away, self._influence, self._rows, found)
+        return found
 
     def _filled(self, measured: Floats, present: Mask, imputation: Imputation) -> Floats:
         """All tracked markers (T, 3) in the world, missing ones filled in by another way."""
@@ -278,6 +276,19 @@ class Jointly:
             self._networks[count] = self._model.networks(count)
         tracked, velocities = zip(*(one.asked for one in estimators), strict=True)
         return [*self._networks[count].estimate(np.array(tracked), np.array(velocities))]
+
+
+@compiled("void(f4[::1], f8[::1], f8[:,::1], i8[::1], f4[::1])")
+def _doubt(lacking: Floats, away: Array, influence: Array, rows: Rows, sigma: Floats) -> None:
+    """Adds to the sigma (M,) of all what those of the tracked markers do to it."""
+    variance = lacking.astype(np.float64) ** 2 + away**2
+    for marker in range(len(sigma)):
+        total = float(sigma[marker]) ** 2
+        for row in range(len(variance)):
+            total += influence[marker, row] * variance[row]
+        sigma[marker] = math.sqrt(total)
+    for row in range(len(rows)):
+        sigma[rows[row]] = math.sqrt(variance[row] + NOISE**2)
 
 
 @compiled("void(f4[:,::1], f4[:,::1], i8[::1], f8[::1], f8, f4[:,::1], f4[:,::1], f8[::1])")

@@ -16,6 +16,7 @@ from drivers.frame import Floats
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+Rows = npt.NDArray[np.intp]
 
 RETURN = 0.2  # s: a marker that is back is where it is measured after so long at most
 SPEED = 1.0  # m/s: and sooner if this speed brings it there
@@ -117,26 +118,77 @@ class Imputer:
 
     def _found(self, measured: Floats, present: Mask) -> tuple[Floats, Floats]:
         """The markers in the world as they are measured or said to be, and the sigma of these."""
-        sigma = np.zeros(len(measured), np.float32)
+        sigma: Floats = np.zeros(len(measured), np.float32)
         if present.all():
             return measured, sigma
         body, missing = self._body, np.flatnonzero(~present)
         body.place(measured)
-        then = self._then[missing]
-        left = body.to_body(self._place[missing])
-        sightings = Sightings(
-            then,
-            np.where(np.isnan(left), then, left),  # never seen anywhere
-            (self._pace[missing] @ body.rotation).astype(np.float32),
-            self.unseen[missing],
+        tracked = np.empty_like(measured)
+        then: Floats = np.empty((len(missing), *measured.shape), np.float32)
+        sightings = Sightings(then, np.empty_like(then), np.empty_like(then), self.unseen[missing])
+        _tell(
+            *(measured, body.placement, missing, self._then, self._place, self._pace),
+            *(tracked, then, sightings.left, sightings.pace),
         )
-        tracked = body.to_body(measured)
         said, deviation = self._regression.recall(tracked, present, sightings, body.sigma)
         found = measured.copy()
-        own = np.arange(len(missing))
-        found[missing] = body.to_world(said[own, missing])
-        sigma[missing] = deviation[own, missing]
+        _take_over(said, deviation, body.placement, missing, found, sigma)
         return found, sigma
+
+
+@compiled(
+    "void(f4[:,::1], f8[::1], i8[::1], f4[:,:,::1], f8[:,:,::1], f8[:,:,::1],"
+    " f4[:,::1], f4[:,:,::1], f4[:,:,::1], f4[:,:,::1])"
+)
+def _tell(
+    measured: Floats,
+    placement: Array,
+    missing: Rows,
+    thens: Floats,
+    places: Array,
+    paces: Array,
+    tracked: Floats,
+    then: Floats,
+    left: Floats,
+    pace: Floats,
+) -> None:
+    """The markers in the body frame, and the last sightings of those that are missing."""
+    cos, sin = math.cos(placement[3]), math.sin(placement[3])
+    for row in range(len(measured)):
+        x, y = measured[row, 0] - placement[0], measured[row, 1] - placement[1]
+        tracked[row, 0] = cos * x + sin * y
+        tracked[row, 1] = cos * y - sin * x
+        tracked[row, 2] = measured[row, 2] - placement[2]
+    for one in range(len(missing)):
+        marker = missing[one]
+        then[one] = thens[marker]
+        for row in range(len(measured)):
+            place, moving = places[marker, row], paces[marker, row]
+            if math.isnan(place[0]):  # never seen anywhere
+                left[one, row] = then[one, row]
+            else:
+                x, y = place[0] - placement[0], place[1] - placement[1]
+                left[one, row, 0] = cos * x + sin * y
+                left[one, row, 1] = cos * y - sin * x
+                left[one, row, 2] = place[2] - placement[2]
+            pace[one, row, 0] = cos * moving[0] + sin * moving[1]
+            pace[one, row, 1] = cos * moving[1] - sin * moving[0]
+            pace[one, row, 2] = moving[2]
+
+
+@compiled("void(f4[:,:,:], f4[:,:], f8[::1], i8[::1], f4[:,::1], f4[::1])")
+def _take_over(
+    said: Floats, deviation: Floats, placement: Array, missing: Rows, found: Floats, sigma: Floats
+) -> None:
+    """Puts each missing marker where it is said to be, in the world, by its own last sighting."""
+    cos, sin = math.cos(placement[3]), math.sin(placement[3])
+    for one in range(len(missing)):
+        marker = missing[one]
+        x, y, z = said[one, marker]
+        found[marker, 0] = cos * x - sin * y + placement[0]
+        found[marker, 1] = sin * x + cos * y + placement[1]
+        found[marker, 2] = z + placement[2]
+        sigma[marker] = deviation[one, marker]
 
 
 @compiled(

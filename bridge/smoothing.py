@@ -86,10 +86,8 @@ class NoiseFilter:
 
         NaN before the first sighting; zero after a single one, as nothing is known of it yet.
         """
-        # Slopes grow old from smoother to smoother as positions do: the line through the first
-        # two, drawn on to no lag, is the least delayed.
-        first, second, third = (self._stages[:, stage] for stage in range(3))
-        slope: Array = (3.0 * (first - second) - 2.0 * (second - third)) / self._memory[:, None]
+        slope = np.empty_like(self._points)
+        _slopes(self._stages, self._memory, slope)
         return slope
 
     def update(self, xyz: npt.NDArray[np.floating], interval: float) -> Floats:
@@ -180,3 +178,15 @@ def _follow(
             for stage in range(_STAGES):
                 smoothers[stage, axis] += change * (position - smoothers[stage, axis])
     return seen
+
+
+@compiled("void(f8[:,:,::1], f8[::1], f8[:,::1])")
+def _slopes(stages: Array, memory: Array, slope: Array) -> None:
+    """Slopes grow old from smoother to smoother as positions do: the line through the first two,
+    drawn on to no lag, is the least delayed.
+    """
+    for marker in range(len(slope)):
+        for axis in range(3):
+            first, second, third = stages[marker, :3, axis]
+            late = 3.0 * (first - second) - 2.0 * (second - third)
+            slope[marker, axis] = late / memory[marker]

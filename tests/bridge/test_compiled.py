@@ -47,23 +47,31 @@ def test_where_nothing_can_be_kept_it_is_compiled_all_the_same(error, monkeypatc
         return numba.njit(*arguments, **options)
 
     monkeypatch.setattr(module, "njit", refusing)
-    assert compiled("f8(f4[::1], f8)")(total)(np.ones(3, np.float32), 2.0) == 6.0
+    monkeypatch.setattr(module, "_said", set())
+    for _ in range(2):
+        assert compiled("f8(f4[::1], f8)")(total)(np.ones(3, np.float32), 2.0) == 6.0
     (text,) = caplog.messages
-    assert text.startswith("total is compiled anew at each start")
+    assert text.startswith("compiling anew at each start")
+    assert str(error) in text
     assert "NUMBA_CACHE_DIR" in text
 
 
-def test_a_spoilt_cache_is_no_harm(tmp_path: Path) -> None:
+def test_a_first_start_is_told_and_a_spoilt_cache_is_no_harm(tmp_path: Path) -> None:
     program, kept = tmp_path / "program.py", tmp_path / "kept"
     program.write_text(PROGRAM)
     environment = os.environ | {"NUMBA_CACHE_DIR": str(kept)}
-    for _ in range(2):
+    told = []
+    for spoilt in (False, False, True):
+        files = [path for path in kept.rglob("*.nb?") if path.is_file()]
+        assert bool(files) == bool(told)
+        for path in files if spoilt else []:
+            path.write_bytes(path.read_bytes()[:40])
         done = subprocess.run(
             [sys.executable, "-P", program], env=environment, capture_output=True, text=True
         )
         assert (done.returncode, done.stdout) == (0, "2.0\n"), done.stderr
-        files = [path for path in kept.rglob("*.nb?") if path.is_file()]
-        assert files
-        for path in files:
-            path.write_bytes(path.read_bytes()[:40])
-    assert "compiled anew at each start" in done.stderr
+        told.append(done.stderr)
+    first, second, third = told
+    assert first == "compiling for this machine, once: this takes about half a minute\n"
+    assert second == ""
+    assert third.startswith("compiling anew at each start")

@@ -18,10 +18,10 @@ from tests.bridge.reference.smoothing import NoiseFilter as ReferenceFilter
 
 RATE = 120.0
 KERNELS = [
-    (smoothing, ("_listen", "_follow")),
+    (smoothing, ("_listen", "_follow", "_slopes")),
     (body_frame, ("_place", "_fit_yaw", "_learn")),
-    (imputer, ("_walk",)),
-    (estimator, ("_into_body", "_into_world")),
+    (imputer, ("_walk", "_tell", "_take_over")),
+    (estimator, ("_into_body", "_into_world", "_doubt")),
 ]
 
 

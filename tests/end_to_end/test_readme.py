@@ -19,6 +19,8 @@ from pathlib import Path
 
 import pytest
 
+from drivers.session_log import SessionLog
+from tests.bridge.mosquitto import Broker, Subscriber
 from tests.end_to_end.peers import WAIT, wait_for
 from tests.training.cmu_site import serving
 
@@ -34,10 +36,13 @@ def block(words: str) -> str:
     return found
 
 
-SIMULATE = block("simulate performer:walk")
+SIMULATE = block("performer:walk --to serial")
 SESSION = block("take.c3d")
 REPLAY = block("simulate c3d:captures/walk.c3d")
 ENGINE = block("vmc://")
+MANY = block("mqtt://")
+TWO = block("--performers ann,bob")
+BOTH = block("?performers=ann,bob")
 TROUBLE = block("markerbridge doctor")
 MODEL = block("markerbridge train")
 FETCH = block("markerbridge fetch")
@@ -46,8 +51,8 @@ VIEW = block("markerbridge view")
 
 
 def test_no_command_of_the_readme_is_left_out() -> None:
-    run = {SIMULATE, SESSION, TROUBLE, VIEW, REPLAY, ENGINE, CALIBRATE, MODEL, FETCH}
-    assert set(BLOCKS[2:]) == run
+    run = {SIMULATE, SESSION, TROUBLE, VIEW, REPLAY, ENGINE, MANY, TWO, BOTH}
+    assert set(BLOCKS[2:]) == run | {CALIBRATE, MODEL, FETCH}
     for setting_up in BLOCKS[:2]:
         assert "apt-get install" in setting_up
         assert "pip install -c requirements.lock" in setting_up
@@ -124,6 +129,31 @@ def test_a_session_looked_into_recorded_and_played_again(data_dir: Path, tmp_pat
         finished(viewing, 60)
     assert (tmp_path / "view.png").stat().st_size > 10_000
     assert (tmp_path / "walk.gif").stat().st_size > 10_000
+
+
+def test_poses_by_a_broker(tmp_path: Path) -> None:
+    with (
+        Broker(tmp_path) as broker,
+        Subscriber(broker, "stage/pose") as reader,
+        shell(SIMULATE, tmp_path),
+    ):
+        wait_for((tmp_path / "tracker").is_symlink, "the serial port")
+        command = MANY.replace("mqtt://127.0.0.1", f"mqtt://127.0.0.1:{broker.port}")
+        with shell(command, tmp_path) as bridge:
+            for _ in range(100):
+                reader.next()
+            assert "poses out" in interrupted(bridge)
+
+
+def test_several_performers(tmp_path: Path) -> None:
+    recordings = [tmp_path / f"stage-{name}.mcap" for name in ("ann", "bob")]
+    with shell(TWO, tmp_path), shell(BOTH, tmp_path) as bridge:
+        for path in recordings:
+            wait_for(lambda path=path: path.exists() and path.stat().st_size > 100_000, path.name)
+        output = interrupted(bridge)
+    assert "ann to osc://127.0.0.1:9200" in output
+    for path in recordings:
+        assert len(list(SessionLog(path).poses())) > 60
 
 
 def test_a_replay_with_its_summary(data_dir: Path, tmp_path: Path) -> None:

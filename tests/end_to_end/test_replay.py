@@ -11,9 +11,9 @@ import numpy as np
 from bridge.estimator import PoseEstimator
 from bridge.model import Model
 from bridge.session import Session
-from bridge.stage import Stage
 from bridge.sinks.registry import open_sink
 from bridge.sinks.sink import SinkContext
+from bridge.stage import Stage
 from drivers.clock import VirtualClock
 from drivers.frame import Layout
 from drivers.marker_set import MARKERS
