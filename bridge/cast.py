@@ -13,6 +13,7 @@ from drivers.frame import Layout, MarkerFrame, Rows, Source
 log = logging.getLogger(__name__)
 
 Part = tuple[Session, MarkerFrame]
+_Place = tuple[Session, Layout, Rows]
 
 
 class Cast:
@@ -29,16 +30,20 @@ class Cast:
         for session in self.sessions.values():
             session.backlog = self.backlog
         self._alone = next(iter(self.sessions.values())) if alone else None
-        self._layout: Layout | None = None
-        self._parts: list[tuple[Session, Layout, Rows]] = []
+        # The layout, as it came, and where it has whom. In one piece: a reader records what
+        # overflows while the loop takes a frame of the layout before.
+        self._known: tuple[Layout | None, list[_Place]] = None, []
 
     def parts(self, frame: MarkerFrame) -> list[Part]:
         """Each performer's own part of a frame, where the stream has any of it."""
         if self._alone is not None:
             return [(self._alone, frame)]
-        if frame.layout is not self._layout:
-            self._adopt(frame.layout)
-        return [(session, _part(frame, layout, rows)) for session, layout, rows in self._parts]
+        known, places = self._known
+        if frame.layout is not known:
+            if frame.layout != known:  # a line that comes back tells the same once more
+                places = self._places(frame.layout)
+            self._known = frame.layout, places
+        return [(session, _part(frame, layout, rows)) for session, layout, rows in places]
 
     def rehearsal_due(self, frame: MarkerFrame) -> float:
         """When to rehearse for the frame that comes after this one; never (infinity) where frames
@@ -59,8 +64,9 @@ class Cast:
         for session, part in self.parts(frame):
             session.record(part)
 
-    def _adopt(self, layout: Layout) -> None:
-        self._layout, self._parts = layout, []
+    def _places(self, layout: Layout) -> list[_Place]:
+        """Where a layout has whom; says whom it lacks, and who else is there."""
+        places: list[_Place] = []
         others = {label.partition(":")[0] for label in layout.labels} - set(self.sessions)
         for name, session in self.sessions.items():
             head = f"{name}:"
@@ -68,7 +74,7 @@ class Cast:
             if own:
                 labels = tuple(label.removeprefix(head) for label in own)
                 _, rows = layout.places(own)
-                self._parts.append((session, Layout(labels, layout.rate), rows))
+                places.append((session, Layout(labels, layout.rate), rows))
             else:
                 log.warning("%s: the stream has no markers of %s", self.source.name, name)
         if others:
@@ -76,6 +82,7 @@ class Cast:
                 "%s: the option performers names %s; the stream has others' labels, too: %s",
                 *(self.source.name, ", ".join(self.sessions), ", ".join(sorted(others)[:8])),
             )
+        return places
 
 
 def _part(frame: MarkerFrame, layout: Layout, rows: Rows) -> MarkerFrame:

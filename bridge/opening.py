@@ -55,10 +55,13 @@ def open_stage(plan: SessionPlan, model: Model, stop: threading.Event) -> Iterat
             with plan.naming("sinks", number):
                 for name, sink in _open_sinks(address, contexts):
                     opened.callback(_quietly(sink.close))
+                    _check(sink, name, address, sinks)
                     sinks[name].append(sink)
         casts = []
-        for role in roles:
-            source = opened.enter_context(_open_source(role, plan, stop))
+        sources = _open_sources(roles, plan, stop)
+        for source in sources:
+            opened.enter_context(source)
+        for role, source in zip(roles, sources, strict=True):
             sessions = {
                 name: Session(
                     *(source, PoseEstimator(model), sinks[name], contexts[name]),
@@ -95,6 +98,20 @@ def _open_sinks(address: str, contexts: dict[str, SinkContext]) -> Iterator[tupl
         yield name, sink
 
 
+def _check(sink: Sink, name: str, address: str, sinks: dict[str, list[Sink]]) -> None:
+    """Raises UrlError for a sink that a performer has already, and for a second body where one is
+    known alone.
+    """
+    if any(other.name == sink.name for other in sinks[name]):
+        raise UrlError(f"'{address}': {name} goes there already: each address is taken once")
+    if not (sink.one_body and sink.receiver):
+        return
+    for performer, others in sinks.items():
+        there = any(other.one_body and other.receiver == sink.receiver for other in others)
+        if there and performer != name:
+            raise UrlError(f"'{address}': {performer} goes there already: give each a port")
+
+
 def _among(names: Sequence[str]) -> Callable[[str], str]:
     def check(name: str) -> str:
         if name not in names or not name:
@@ -104,22 +121,31 @@ def _among(names: Sequence[str]) -> Callable[[str], str]:
     return check
 
 
-def _open_source(role: Role, plan: SessionPlan, stop: threading.Event) -> Source:
-    """A source, once it is there. Raises SourceError where it is not to be waited for."""
+def _open_sources(roles: Sequence[Role], plan: SessionPlan, stop: threading.Event) -> list[Source]:
+    """All sources, once all are there. Raises SourceError where one is not to be waited for.
+
+    What is there already is closed meanwhile: nobody would read it, and what it had sent by then
+    would be taken for what it sends now.
+    """
     said = ""
     while True:
+        sources: list[Source] = []
         try:
-            with plan.naming(*role.keys):
-                source = open_source(role.address)
-            if said:
-                log.info("the source is there")
-            return source
-        except SourceError as error:
-            if not plan.wait:
+            for role in roles:
+                with plan.naming(*role.keys):
+                    sources.append(open_source(role.address))
+        except BaseException as error:
+            for source in sources:
+                source.close()
+            if not (plan.wait and isinstance(error, SourceError)):
                 raise
             if str(error) != said:
                 said = str(error)
                 log.warning("waiting for the source: %s", said)
+        else:
+            if said:
+                log.info("the source is there")
+            return sources
         if stop.wait(AGAIN):
             raise Stopped
 

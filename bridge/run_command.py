@@ -38,7 +38,7 @@ def main(argv: list[str]) -> int:
     terminal.log_to(console, plan.log.level)
     # The paths of a session file, whoever reads them, are relative to its folder.
     here = contextlib.chdir(plan.folder) if plan.folder else contextlib.nullcontext()
-    with here, stopping() as stop:
+    with here, stopping() as stop, terminal.log_aside():
         _run(plan, stop, console, as_json=options.json)
     return 0
 
@@ -59,7 +59,7 @@ def _run(plan: SessionPlan, stop: threading.Event, console: Console, *, as_json:
                     if as_json
                     else terminal.shown(console, stage.status, title, plan.log.lines)
                 )
-                with shown, watching(stage.name, stage.status, plan.log.every):
+                with shown, watching(stage.by_source, plan.log.every):
                     stage.run(stop, plan.seconds)
                 stage.close()
         except MarkerbridgeError:

@@ -132,7 +132,8 @@ class Session:
     def handle(self, frame: MarkerFrame) -> Pose:
         """Estimates the pose at one frame and hands it to every sink.
 
-        Raises SourceError where the first layout has no marker that the model tracks.
+        Raises SourceError where the first layout has no marker that the model tracks, unless there
+        may be other performers, who go on.
         """
         held = self.begin(frame)
         if held is not None:
@@ -246,6 +247,7 @@ class Session:
     def _adopt(self, layout: Layout) -> None:
         """Takes in a new layout; says which tracked markers the stream does not carry."""
         info, name = self._context.info, self.source.name
+        whose = f"{name}: {self.performer}" if self.performer else name
         lacking = [label for label in info.tracked if label not in layout.labels]
         foreign = [label for label in layout.labels if label not in info.labels]
         advice = ""
@@ -254,16 +256,19 @@ class Session:
                 ": the option labels=THEIRS:OURS,... maps its names to these, and "
                 f"`markerbridge doctor {shlex.quote(name)}` tells which is which"
             )
-        if len(lacking) == len(info.tracked) and self._layout is None:
-            raise SourceError(
-                f"{name}: none of the markers that the model tracks ({', '.join(info.tracked)}) "
+        if len(lacking) == len(info.tracked):
+            problem = (
+                f"{whose}: none of the markers that the model tracks ({', '.join(info.tracked)}) "
                 f"is among the stream's ({', '.join(layout.labels)}){advice}"
             )
-        if lacking:
+            if self._layout is None and not self.performer:
+                raise SourceError(problem)
+            log.warning("%s", problem)  # the others' show goes on
+        elif lacking:
             others = f", but {', '.join(foreign)}{advice}" if advice else ""
             log.warning(
                 "%s: the stream has no %s, imputed throughout%s",
-                *(name, ", ".join(lacking), others),
+                *(whose, ", ".join(lacking), others),
             )
         self._layout = layout
         self._context.rate = layout.rate

@@ -200,11 +200,16 @@ class SessionPlan(BaseModel):
             keys = self._origin.written(("source", number))
             with self.naming(*keys):
                 roles.append(_role(source.address, keys, several=len(self.source) > 1))
-        names = [name for role in roles for name in role.performers]
-        if twice := [name for name in names if names.count(name) > 1]:
-            raise UsageError(f"two sources are of performer {twice[0]}: each is named once")
-        if self.truth and len(names) > 1:
-            raise UsageError("truth is for a performer alone")
+        known: set[str] = set()
+        for role in roles:
+            with self.naming(*role.keys):
+                for name in role.performers:
+                    if name in known:
+                        raise UrlError(f"two sources are of performer {name}: each is named once")
+                    known.add(name)
+        with self.naming("truth"):
+            if self.truth and len(known) > 1:
+                raise UrlError(f"'{self.truth}': truth is for a performer alone")
         return roles
 
     @property
@@ -246,6 +251,8 @@ def _role(address: str, keys: tuple[str | int, ...], *, several: bool) -> Role:
 def _performer(text: str) -> str:
     if not re.fullmatch(r"[A-Za-z0-9_-]{1,32}", text):
         raise ValueError("a name is letters, digits, - and _, 32 at most")
+    if re.search(r"-\d+$", text):  # take-ann-2.c3d is how ann's recording goes on
+        raise ValueError("a name does not end with - and a number: that is part of a recording")
     return text
 
 

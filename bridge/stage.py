@@ -103,31 +103,21 @@ class Stage:
             raise errors[0]
 
     def status(self) -> Status:
-        """What all of it has done so far. Of several performers, the worst of each: the lowest
-        rate, the ages of the hop's slowest; and all markers and sinks, by name.
+        """What all of it has done so far. Of several performers, the worst of each: the rate that
+        is farthest from what it should be, the ages of the hop's slowest; and all markers and
+        sinks, by name.
         """
-        known = {name: session.status() for name, session in self.sessions.items()}
-        first, *others = known.values()
-        if not others:
-            return first
-        source: Counter[str] = Counter()
-        for cast in self.casts:
-            source.update(known[next(iter(cast.sessions))].source)
-        return replace(
-            first,
-            frames=max(one.frames for one in known.values()),
-            rate=min(one.rate for one in known.values()),
-            silent=max(one.silent for one in known.values()),
-            ages={name: _worst(one.ages[name] for one in known.values()) for name in first.ages},
-            markers=_by_name({name: one.markers for name, one in known.items()}, ":"),
-            imputed_samples=sum(one.imputed_samples for one in known.values()),
-            lost_frames=sum(one.lost_frames for one in known.values()),
-            missing_indices=source["missing"],
-            waiting=sum(len(cast.backlog.frames) for cast in self.casts),
-            source=dict(source),
-            sinks=_by_name({name: one.sinks for name, one in known.items()}, " to "),
-            performers=known,
-        )
+        return _together([known for _, known in self._by_cast()])
+
+    def by_source(self) -> list[tuple[str, Status]]:
+        """The same for each source, with its address: of those alone who are in it."""
+        return [(cast.source.name, _together([known])) for cast, known in self._by_cast()]
+
+    def _by_cast(self) -> list[tuple[Cast, dict[str, Status]]]:
+        return [
+            (cast, {name: session.status() for name, session in cast.sessions.items()})
+            for cast in self.casts
+        ]
 
     def _take_oldest(self, cast: Cast) -> None:
         """Takes the oldest waiting frame through: those in it who ask the model do so together."""
@@ -152,7 +142,7 @@ class Stage:
         source, backlog = cast.source, cast.backlog
         due = math.inf  # when to rehearse
         try:
-            while not (self._finished.is_set() or source.exhausted):
+            while not self._finished.is_set() and (source.ready or not source.exhausted):
                 frame = source.read(min(POLL, max(0.0, due - self._clock.now())))
                 if frame is None:
                     if self._clock.now() >= due:
@@ -184,6 +174,35 @@ class Stage:
         if len(backlog.frames) > room and cast.source.live:
             cast.record(backlog.frames.popleft())
             backlog.overflow += 1
+
+
+def _together(casts: Sequence[Mapping[str, Status]]) -> Status:
+    """One status of several performers, by name, of each source."""
+    known = {name: status for cast in casts for name, status in cast.items()}
+    first, *others = known.values()
+    if not others:
+        return first
+    sources = [next(iter(cast.values())) for cast in casts]
+    source: Counter[str] = Counter()
+    for one in sources:
+        source.update(one.source)
+    slowest = min(known.values(), key=lambda one: one.rate / (one.layout_rate or 1.0))
+    return replace(
+        first,
+        frames=max(one.frames for one in known.values()),
+        rate=slowest.rate,
+        layout_rate=slowest.layout_rate,
+        silent=min(one.silent for one in known.values()),
+        ages={name: _worst(one.ages[name] for one in known.values()) for name in first.ages},
+        markers=_by_name({name: one.markers for name, one in known.items()}, ":"),
+        imputed_samples=sum(one.imputed_samples for one in known.values()),
+        lost_frames=sum(one.lost_frames for one in known.values()),
+        missing_indices=source["missing"],
+        waiting=sum(one.waiting for one in sources),
+        source=dict(source),
+        sinks=_by_name({name: one.sinks for name, one in known.items()}, " to "),
+        performers=known,
+    )
 
 
 def _worst(ages: Iterable[Ages]) -> Ages:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import queue
 import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from logging.handlers import QueueHandler, QueueListener
 
 from rich.console import Console
 from rich.live import Live
@@ -85,6 +87,22 @@ def log_to(console: Console, level: str = "info") -> None:
     logging.basicConfig(
         level=level.upper(), format=form, datefmt="%H:%M:%S", handlers=[handler], force=True
     )
+
+
+@contextmanager
+def log_aside() -> Iterator[None]:
+    """Until the block ends, the log is written by a thread of its own: whoever says something while
+    frames wait for them does not wait for a terminal that is frozen (Ctrl-S), or for a full pipe.
+    """
+    root, lines = logging.getLogger(), queue.SimpleQueue[logging.LogRecord]()
+    handlers, root.handlers = root.handlers, [QueueHandler(lines)]
+    writer = QueueListener(lines, *handlers)
+    writer.start()
+    try:
+        yield
+    finally:
+        writer.stop()  # once all is written
+        root.handlers = handlers
 
 
 def summarise(console: Console, status: Status, title: str) -> None:

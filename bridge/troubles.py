@@ -26,8 +26,23 @@ def troubles(status: Status, before: Status | None) -> list[Trouble]:
     """The gravest first. before: the session's status some seconds earlier, for what is wrong only
     while it goes on; None: of all that has been.
     """
-    found = [*_source(status, before), *_markers(status), *_sinks(status, before)]
+    if status.performers:
+        found = _of_each(status, before)
+    else:
+        found = [*_source(status, before), *_markers(status), *_sinks(status, before)]
     return sorted(found, key=lambda trouble: not trouble.grave)
+
+
+def _of_each(status: Status, before: Status | None) -> list[Trouble]:
+    """Each performer's own; the same of several, as of who share a line, is one."""
+    whose: dict[Trouble, list[str]] = {}
+    for name, own in status.performers.items():
+        for trouble in troubles(own, before.performers[name] if before else None):
+            whose.setdefault(trouble, []).append(name)
+    return [
+        trouble._replace(words=f"{', '.join(names)}: {trouble.words}")
+        for trouble, names in whose.items()
+    ]
 
 
 def instead(status: Status, before: Status | None) -> str:
@@ -38,6 +53,8 @@ def instead(status: Status, before: Status | None) -> str:
             return 0
         return status.source.get(name, 0) - (before.source.get(name, 0) if before else 0)
 
+    if came("frames"):
+        return ": those that come are of others"
     if count := came("bytes"):
         return f", though {count:,} bytes came: `markerbridge doctor` tells why"
     if count := came("refused"):

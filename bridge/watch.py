@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import shlex
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -173,10 +173,17 @@ class _Markers:
 
 
 @contextmanager
-def watching(source: str, status: Callable[[], Status], every: float = LOG_EVERY) -> Iterator[None]:
-    """Watches a running session until the block ends."""
-    watch = Watch(source, every)
-    with repeating(lambda: watch.look(status()), LOOK, "watch"):
+def watching(
+    by_source: Callable[[], Sequence[tuple[str, Status]]], every: float = LOG_EVERY
+) -> Iterator[None]:
+    """Watches the sources of a running session, each by its address, until the block ends."""
+    watches = [Watch(name, every) for name, _ in by_source()]
+
+    def look() -> None:
+        for watch, (_, status) in zip(watches, by_source(), strict=True):
+            watch.look(status)
+
+    with repeating(look, LOOK, "watch"):
         yield
 
 

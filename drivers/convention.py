@@ -34,19 +34,27 @@ class Convention:
         return cls(Frame(axes, unit), url.take("labels", _NO_LABELS, parse_labels))
 
     def lacking(self, layout: Layout) -> list[str]:
-        """Names that `labels` has and their layout has not."""
-        return [name for name in self.labels if name not in layout.labels]
+        """Names that `labels` has and their layout has not, nobody's."""
+        names = {own for label in layout.labels for own in (label, label.rpartition(":")[2])}
+        return [name for name in self.labels if name not in names]
 
     def layout_in(self, layout: Layout) -> Layout:
         """Their layout under our labels. Two of theirs may not be one of ours: ValueError."""
         if not self.labels:
             return layout
-        return Layout(tuple(self.labels.get(name, name) for name in layout.labels), layout.rate)
+        return Layout(tuple(map(self._ours, layout.labels)), layout.rate)
 
     def layout_out(self, layout: Layout) -> Layout:
         """Our layout under their labels."""
         theirs = {ours: name for name, ours in self.labels.items()}
         return Layout(tuple(theirs.get(name, name) for name in layout.labels), layout.rate)
+
+    def _ours(self, name: str) -> str:
+        """Our name of a marker; of several performers, `ann:LeftHand` is `LeftHand` of each."""
+        if name in self.labels:
+            return self.labels[name]
+        whose, colon, own = name.rpartition(":")
+        return f"{whose}{colon}{self.labels.get(own, own)}"
 
     def xyz_in(self, xyz: Floats) -> Floats:
         """(M, 3) of theirs as ours, metres."""

@@ -65,6 +65,7 @@ class EngineSink(Sink):
             url.take("sigma", Caution().threshold, parse_length),
         )
         url.finish()
+        self.receiver = url.address(self.profile.port)
         self._out = self._sender(url)
         self._start: float | None = None
         self._lost = bytes([Provenance.LOST]) * len(context.info.labels)

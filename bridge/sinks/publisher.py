@@ -10,6 +10,7 @@ import logging
 import select
 import socket
 import threading
+import uuid
 from dataclasses import dataclass
 from ssl import SSLContext
 from typing import Any
@@ -60,6 +61,9 @@ class Publisher:
         self._account = account
         self._stream = stream
         self._will = will
+        # One name for all connections: with a new one the broker parts with the one before, should
+        # it not know yet that it is gone. Else its will would come after what is true by then.
+        self._id = f"mb{uuid.uuid4().hex[:21]}"  # 23 letters: every broker takes so many
         self._lock = threading.RLock()
         self._client: Client | None = None  # while there is a connection
         self._problem = "there was no answer yet"
@@ -148,7 +152,7 @@ class Publisher:
         return connected
 
     def _new_client(self) -> Client:
-        client = Client(CallbackAPIVersion.VERSION2)
+        client = Client(CallbackAPIVersion.VERSION2, self._id)
         client.connect_timeout = CONNECTING
         client.username_pw_set(self._account.user, self._account.password)
         if self._account.tls:

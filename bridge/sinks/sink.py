@@ -51,7 +51,8 @@ class Sink(ABC):
     number, nothing is dropped. rate: most poses a second; beyond it the newest wins. 0: no limit.
     records: whether it is also told all that comes in, by `record`. wants_posture: whether its
     poses are to have one. prompt: a call never waits for anything, so it may be made on the thread
-    that estimates. one_body: who receives it knows of one performer alone.
+    that estimates. one_body: who receives it knows of one performer alone. receiver: host and port
+    of who does; None where that is nobody on a network.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Sink(ABC):
     wants_posture: bool = False
     prompt: bool = False
     one_body: bool = False
+    receiver: tuple[str, int] | None = None
 
     @abstractmethod
     def __call__(self, pose: Pose) -> None:

@@ -13,13 +13,15 @@ from bridge.cast import Cast
 from bridge.estimator import PoseEstimator
 from bridge.model import Model
 from bridge.opening import open_stage
-from bridge.pose import Pose
+from bridge.pose import Pose, Provenance
 from bridge.session import Session
 from bridge.session_file import plan_session
 from bridge.sinks.sink import Sink, SinkContext
 from bridge.stage import Stage
+from bridge.troubles import troubles
 from drivers.c3d_file import C3dSource, Clip
 from drivers.clock import SYSTEM_CLOCK, VirtualClock
+from drivers.convention import Convention
 from drivers.errors import UsageError
 from drivers.frame import Floats, Layout, MarkerFrame, Source, SourceError
 from drivers.transport import memory_line
@@ -133,6 +135,54 @@ def test_whoever_the_stream_lacks_is_told_and_so_are_others(walks, caplog) -> No
     assert any("the stream has others' labels, too: eve" in text for text in caplog.messages)
 
 
+def test_one_with_unknown_labels_does_not_end_it_for_the_others(walks, caplog) -> None:
+    strange = tuple(f"bob:{number}" for number in range(len(TRACKED)))
+    layout = Layout((*labels_of(TRACKED, ("ann",)), *strange), RATE)
+    clip = Clip(Path(), layout, np.tile(walks[0], (1, 2, 1)))
+    source = C3dSource("c3d:x", clip, SYSTEM_CLOCK, float("inf"))
+    sessions = {name: session(source, name, shared=True) for name in ("ann", "bob")}
+    stage = Stage([Cast(source, sessions, alone=False)])
+    stage.run(threading.Event())
+    stage.close()
+    assert len(kept(sessions["ann"])) == 90
+    assert (kept(sessions["bob"])[-1].provenance == Provenance.LOST).all()
+    assert any("c3d:x: bob: none of the markers" in text for text in caplog.messages)
+
+
+def test_names_of_another_program_are_mapped_for_each() -> None:
+    convention = Convention(labels={"LeftHand": "LWRB"})
+    layout = Layout(("ann:LeftHand", "bob:LeftHand", "bob:C7"), RATE)
+    assert convention.layout_in(layout).labels == ("ann:LWRB", "bob:LWRB", "bob:C7")
+    assert convention.lacking(layout) == []
+
+
+def test_who_is_in_trouble_is_named(walks) -> None:
+    """Ann's line is silent for seconds, and all is well with bob."""
+    clock = VirtualClock()
+    sources, casts = {}, []
+    for who, name in enumerate(("ann", "bob")):
+        ours, device = memory_line(clock)
+        source = WireSource(f"serial:{name}", lambda end=ours: end, CobsDecoder(), clock)
+        encoder = CobsEncoder()
+        device.send(encoder.encode_layout(Layout(TRACKED, RATE)))
+        sources[name] = source, device, encoder, walks[who]
+        casts.append(Cast(source, {name: session(source, name, clock=clock)}, alone=True))
+    stage = Stage(casts, clock=clock)
+    for index in range(600):
+        clock.sleep_until(index / RATE)
+        for cast in casts:
+            (name,) = cast.sessions
+            source, device, encoder, walk = sources[name]
+            if name == "bob" or index < 60:
+                device.send(encoder.encode_frame(index, index / RATE, walk[index % 20]))
+                stage._put(cast, source.read(0.0))
+                stage._take_oldest(cast)
+    (trouble,) = troubles(stage.status(), None)
+    assert trouble.words.startswith("ann: no frame for 4 s")
+    assert [name for name, _ in stage.by_source()] == ["serial:ann", "serial:bob"]
+    assert [len(status.markers) for _, status in stage.by_source()] == [9, 9]
+
+
 def test_several_sources_run_side_by_side_until_all_end(walks) -> None:
     casts = []
     for who, name in enumerate(NAMES):
@@ -189,6 +239,17 @@ def test_when_one_source_fails_all_end_with_its_error(walks) -> None:
         ("osc:?performers=a,b", ["osc://127.0.0.1:9?performer=c"], "known are a, b"),
         ("osc:", ["osc://127.0.0.1:9?performer=c"], "known are none"),
         ([], [], "source: it is empty"),
+        ("osc:?performers=a,b-2", [], "a name does not end with - and a number"),
+        (
+            "osc:?performers=a,b",
+            ["vmc://127.0.0.1:9?performer=a", "vmc://127.0.0.1:9?performer=b"],
+            "a goes there already: give each a port",
+        ),
+        (
+            "osc:?performers=a,b",
+            ["osc://127.0.0.1:9", "osc://127.0.0.1:9?performer=b"],
+            "b goes there already: each address is taken once",
+        ),
     ],
 )
 def test_performers_that_cannot_be_meant_are_refused(source, sinks, message) -> None:
