@@ -99,7 +99,7 @@ class Session:
         self._recording = [outlet for outlet in self.outlets if outlet.sink.records]
         wanted = any(sink.wants_posture for sink in sinks)
         self._humanoid = _humanoid(context) if wanted else None
-        self._rehearsal = Rehearsal(estimator.model, _humanoid(context) if wanted else None)
+        self._rehearsal: Rehearsal | None = None
         self._frame: MarkerFrame | None = None  # the last one
         self._truth = truth
         self._clock = clock
@@ -158,9 +158,13 @@ class Session:
         return self._deliver(frame, self.estimator.finish(frame, estimate))
 
     def rehearse(self) -> None:
-        """Makes the next frame quicker; of no effect on it otherwise. Any thread may call it."""
-        if self._frame is not None:
-            self._rehearsal(self._frame)
+        """Makes the next frame quicker; of no effect on it otherwise. By one thread at a time."""
+        if self._frame is None:
+            return
+        if self._rehearsal is None:
+            humanoid = _humanoid(self._context) if self._humanoid else None
+            self._rehearsal = Rehearsal(self.estimator.model, humanoid)
+        self._rehearsal(self._frame)
 
     def record(self, frame: MarkerFrame) -> None:
         """Tells the sinks that record of a frame."""
@@ -307,11 +311,12 @@ class Session:
             self._rms.add(rms_mm(pose.xyz, truth))
 
     def _recent_rate(self) -> float:
-        if len(self._arrivals) < 2 or self._arrivals[-1] <= self._arrivals[0]:
+        arrivals = self._arrivals.copy()  # another thread may clear them
+        if len(arrivals) < 2 or arrivals[-1] <= arrivals[0]:
             return 0.0
-        if self._clock.now() - self._arrivals[-1] > SILENT:
+        if self._clock.now() - arrivals[-1] > SILENT:
             return 0.0
-        return (len(self._arrivals) - 1) / (self._arrivals[-1] - self._arrivals[0])
+        return (len(arrivals) - 1) / (arrivals[-1] - arrivals[0])
 
 
 def _humanoid(context: SinkContext) -> HumanoidSolver:

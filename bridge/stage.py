@@ -149,7 +149,8 @@ class Stage:
                         due = math.inf
                         cast.rehearse()
                     continue
-                due = cast.rehearsal_due(frame)
+                if len(self.casts) == 1:  # of several, they would keep each other from their work
+                    due = cast.rehearsal_due(frame)
                 self._put(cast, frame)
                 while backlog.frames and not self._finished.is_set():
                     began = self._clock.now()

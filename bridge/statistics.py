@@ -34,13 +34,15 @@ class Durations:
         self.count += 1
         self.maximum = max(self.maximum, seconds)
 
-    def quantile(self, share: float) -> float | None:
-        """Seconds that this share of the durations does not exceed; None where there are none."""
+    def quantiles(self, *shares: float) -> list[float | None]:
+        """For each share the seconds that so much of the durations does not exceed; None where
+        there are none.
+        """
         sums = list(accumulate(self._counts))
         if not sums[-1]:
-            return None
-        bin_ = bisect_left(sums, share * sums[-1])
-        return min(_EDGES[min(bin_, len(_EDGES) - 1)], self.maximum)
+            return [None] * len(shares)
+        bins = [bisect_left(sums, share * sums[-1]) for share in shares]
+        return [min(_EDGES[min(bin_, len(_EDGES) - 1)], self.maximum) for bin_ in bins]
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,13 +81,14 @@ class Hop:
     def ages(self, now: float) -> Ages:
         """What passed until now."""
         known = self._all
+        p50, p99 = known.quantiles(0.50, 0.99)
         lately = [age for at, age in self._lately.copy() if at > now - LATELY]
         return Ages(
             count=known.count,
             now=median_low(lately) if lately else None,
             worst=max(lately, default=None),
-            p50=known.quantile(0.50),
-            p99=known.quantile(0.99),
+            p50=p50,
+            p99=p99,
             max=known.maximum if known.count else None,
         )
 

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from tests.benchmarks.null_bridge import MARK, NOTHING
+
 HEAD = 256  # bytes of a datagram in which its number is
-NOTHING = struct.Struct(">4sI")  # of the bridge that does nothing: its mark, and a count from 0
-MARK = b"none"
 
 _OK, _OK_AT = b"/VMC/Ext/OK\0,i\0\0", 20  # after `#bundle`, a time tag and a size
 _T, _T_AT = b"/VMC/Ext/T\0\0,f\0\0", 44

@@ -1,7 +1,7 @@
 """A bridge that does nothing: for each frame's packet on a serial line, one datagram of the same
 size as ours. What it takes is the line, the loopback and Python; what a real bridge takes is more.
 
-`python -m tests.benchmarks.null_bridge PORT UDP_PORT BYTES FRAME_BYTES`
+`python tests/benchmarks/null_bridge.py PORT UDP_PORT BYTES FRAME_BYTES`
 """
 
 from __future__ import annotations
@@ -9,11 +9,14 @@ from __future__ import annotations
 import os
 import select
 import socket
+import struct
 import sys
 import tty
 
 from drivers.wire.cobs import CobsDecoder
-from tests.benchmarks.datagrams import MARK, NOTHING
+
+NOTHING = struct.Struct(">4sI")  # what a datagram begins with: a mark, and a count from 0
+MARK = b"none"
 
 
 def main() -> None:

@@ -21,6 +21,7 @@ import tty
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -41,7 +42,7 @@ RECEIVE_BUFFER = 4 << 20
 _SO_TIMESTAMPNS = 35  # Linux; the socket module does not name it
 _STAMP = struct.Struct("qq")
 
-NOTHING = ("-m", "tests.benchmarks.null_bridge", "{pty}", "{port}")
+NOTHING = (str(Path(__file__).with_name("null_bridge.py")), "{pty}", "{port}")
 
 
 def bridge(*sinks: str, model: str = "default") -> list[str]:
