@@ -11,7 +11,7 @@ import logging
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import ParamSpec, TypeVar, cast
+from typing import Any, ParamSpec, TypeVar, cast
 
 
 @contextmanager
@@ -33,6 +33,7 @@ with _without("scipy.linalg"):
     import numba.np.arraymath  # noqa: F401
     from numba import njit
     from numba.core import event
+    from numba.core.caching import FunctionCache
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -70,11 +71,18 @@ def compiled(signature: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
     numpy's does; indices are not checked.
     """
 
+    def kept(function: Callable[P, R]) -> object:
+        with event.install_listener(COMPILING, _Telling()):
+            return njit(signature, cache=True, error_model="numpy")(function)
+
     def compile_it(function: Callable[P, R]) -> Callable[P, R]:
         try:
-            with event.install_listener(COMPILING, _Telling()):
-                made = njit(signature, cache=True, error_model="numpy")(function)
-        except Exception as error:  # nowhere to keep it, a full disk, or what was kept is spoilt
+            try:
+                made = kept(function)
+            except Exception:  # what was kept is spoilt, after a power cut for example
+                cast(Any, FunctionCache)(function).flush()
+                made = kept(function)
+        except Exception as error:  # nowhere to keep it, or a full disk
             _say_once(
                 "compiling anew at each start, which takes half a minute, for what is compiled "
                 "can be neither kept nor read (%s): NUMBA_CACHE_DIR names another folder for it",

@@ -7,16 +7,18 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.text import Text
 
-from bridge.session import Status
 from bridge.statistics import Ages, MarkerStatus
 from bridge.troubles import LOST, troubles
 from bridge.watch import HARMLESS
 from drivers.url import short
+
+if TYPE_CHECKING:
+    from bridge.session import Status
 
 WORST_RMS = 200.0  # mm at the end of the bar
 WIDE, TALL = 110, 30  # from which the markers have a table of their own

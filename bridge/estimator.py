@@ -143,7 +143,8 @@ class PoseEstimator:
             self._adopt(frame.layout)
         self._index = frame.index
         self._interval = frames / frame.layout.rate  # lost frames count
-        frame.xyz.take(self._columns, 0, self._markers, "clip")
+        if len(frame.xyz):  # else all are foreign
+            frame.xyz.take(self._columns, 0, self._markers, "clip")
         if len(self._foreign):
             self._markers[self._foreign] = np.nan
         measured = self._filter.update(self._markers, self._interval)

@@ -178,7 +178,8 @@ class Model:
         says anything else than they do.
         """
         try:
-            weights = Weights.of(onnx_file.constants(path), len(self.info.labels))
+            found, info = onnx_file.constants(path), self.info
+            weights = Weights.of(found, len(info.tracked), len(info.labels))
         except (KeyError, ValueError, OSError):
             return None
         mine, theirs = CompiledNetworks(weights), BoundNetworks(self._session, self.info, 1)

@@ -48,13 +48,15 @@ class Weights:
     per_memory: Floats
 
     @classmethod
-    def of(cls, constants: Constants, markers: int) -> Weights:
+    def of(cls, constants: Constants, tracked: int, markers: int) -> Weights:
         """By the names that the constants of our graphs have. Raises KeyError or ValueError where
-        it is another graph.
+        it is another graph. Compiled code relies on all shapes and types here.
         """
-        mean = constants["mean"].ravel()
-        per_fade, per_memory = constants["per_fade"].ravel(), constants["per_memory"].ravel()
-        width, tracked = len(mean), len(mean) // 3
+        names = "mean", "per_fade", "per_memory"
+        mean, per_fade, per_memory = (constants[name].ravel().astype(np.float32) for name in names)
+        width = 3 * tracked
+        if len(mean) != width:
+            raise ValueError(f"{len(mean)} coordinates of {tracked} tracked markers")
         told = 5 * width + tracked + len(per_memory) + 1
         prior, bias = constants["prior_weights"], constants["prior_bias"]
         _check(prior, bias, told, len(per_fade) * width)
@@ -173,7 +175,7 @@ def _layers(
     while f"{name}_{len(sizes) - 1}_weights" in constants:
         at = f"{name}_{len(sizes) - 1}"
         weights, bias = constants[f"{at}_weights"], constants[f"{at}_bias"]
-        _check(weights, bias, sizes[-1], len(bias))
+        _check(weights, bias, sizes[-1], bias.size)
         sizes.append(len(bias))
         parts += [weights, bias]
     weights, bias = constants[f"{name}_last_weights"], constants[f"{name}_last_bias"]

@@ -91,8 +91,9 @@ def _varints(data: memoryview) -> list[int]:
 
 def _varint(data: memoryview, at: int) -> tuple[int, int]:
     value = shift = 0
-    while True:
+    while shift < 64:
         value |= (data[at] & 0x7F) << shift
         at, shift = at + 1, shift + 7
         if not data[at - 1] & 0x80:
             return value, at
+    raise ValueError("a number is longer than any")

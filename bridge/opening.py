@@ -57,6 +57,8 @@ def open_stage(plan: SessionPlan, model: Model, stop: threading.Event) -> Iterat
                     opened.callback(_quietly(sink.close))
                     _check(sink, name, address, sinks)
                     sinks[name].append(sink)
+        if any(sink.wants_posture for own in sinks.values() for sink in own):
+            import bridge.humanoid.solver  # noqa: F401  # compiled, before a device sends
         casts = []
         sources = _open_sources(roles, plan, stop)
         for source in sources:

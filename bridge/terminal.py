@@ -11,6 +11,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from logging.handlers import QueueHandler, QueueListener
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.live import Live
@@ -19,10 +20,12 @@ from rich.text import Text
 
 from bridge.dashboard import LOSSES, Dashboard, missing_truth
 from bridge.repeating import repeating
-from bridge.session import Status
 from bridge.statistics import Ages
 from bridge.troubles import LOST, instead, troubles
 from drivers.errors import MarkerbridgeError
+
+if TYPE_CHECKING:
+    from bridge.session import Status
 
 LIVE_EVERY = 0.25  # s
 LATELY = 3.0  # s over which the dashboard's rates are told

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from bridge.session import Status
 from drivers.url import short
+
+if TYPE_CHECKING:
+    from bridge.session import Status
 
 LOST = 1.0  # s without a frame and without a line that are trouble; what was seen is not of now
 SILENT = 3.0  # s without a frame that are trouble

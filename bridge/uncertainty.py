@@ -166,6 +166,7 @@ class Points:
         shown_xyz, shown_turns = np.empty(xyz.shape, np.float32), np.empty_like(turns)
         _move(
             self._policy is Policy.HOLD,
+            PARENTS,
             *(xyz, turns, self._bones, posture.joints, posture.rotations, posture.rest),
             *(self._doubt_of_hips.step(t, posture.sigma[:1]), self._doubt.step(t, sigma)),
             *(self._hips, self._turn, self._on_bone, self._places, self._turns, self._joints),
@@ -225,11 +226,13 @@ def _lead(
 
 
 @compiled(
-    "void(b1, f4[:,:], f4[:,::1], i8[::1], f4[:,::1], f4[:,::1], f4[:,::1], f8[::1], f8[::1],"
-    "f4[:,::1], f4[:,::1], f4[:,::1], f4[:,::1], f4[:,::1], f4[:,::1], f4[:,::1], f4[:,::1])"
+    "void(b1, i8[::1], f4[:,:], f4[:,::1], i8[::1], f4[:,::1], f4[:,::1], f4[:,::1], f8[::1],"
+    "f8[::1], f4[:,::1], f4[:,::1], f4[:,::1], f4[:,::1], f4[:,::1], f4[:,::1], f4[:,::1],"
+    "f4[:,::1])"
 )
 def _move(
     holds: bool,
+    parents: npt.NDArray[np.int64],
     xyz: Floats,
     turns: Floats,
     bones: npt.NDArray[np.int64],
@@ -250,7 +253,7 @@ def _move(
     """Points on their way to where doubt leads them; what is sure is taken in."""
     origin, turn = _held(joints, rotations, share_of_hips[0], hips, turn_of_hips)
     for bone in range(1, len(rest)):
-        put(from_hips, bone, plus(at(from_hips, PARENTS[bone]), at(rest, bone)))
+        put(from_hips, bone, plus(at(from_hips, parents[bone]), at(rest, bone)))
     for i in range(len(xyz)):
         bone, place, now = bones[i], at(xyz, i), turn_at(turns, i)
         sure = share[i] == 0.0

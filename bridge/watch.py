@@ -6,11 +6,13 @@ import logging
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bridge.repeating import repeating
-from bridge.session import Status
 from drivers.url import short
+
+if TYPE_CHECKING:
+    from bridge.session import Status
 
 LOOK = 0.25  # s between looks at the counters
 LOG_EVERY = 10.0  # s between sums of what went wrong

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bridge.compiled import compiled, inlined
-from bridge.humanoid.skeleton import PARENTS, ROW
+from bridge.humanoid.skeleton import ROW
 from bridge.vectors import (
     Array,
     Axes,
@@ -128,10 +128,11 @@ def _reaching(hips: Vector, pelvis: Axes, rest: Array, limbs: Array) -> Vector:
 
 
 @compiled(
-    "void(f8[:,:,::1], f8[:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,::1],"
-    "f8[:,::1], f8[:,:,::1], f4[:,::1], f4[:,::1], f4[:,::1])"
+    "void(i8[::1], f8[:,:,::1], f8[:,::1], f8[:,::1], f8[:,:,::1], f8[:,:,::1], f8[:,:,::1],"
+    "f8[:,::1], f8[:,::1], f8[:,:,::1], f4[:,::1], f4[:,::1], f4[:,::1])"
 )
 def place(
+    parents: npt.NDArray[np.int64],
     axes: Array,
     trunk: Array,
     centre: Array,
@@ -147,7 +148,8 @@ def place(
 ) -> None:
     """Writes the three of a `Posture` that have these names.
 
-    axes, centre, limbs: a `Body`'s. trunk, hands, feet: its `Landmarks`'. rest: by `rest_pose`.
+    parents: the skeleton's PARENTS, which a cache would not see change if it were not given. axes,
+    centre, limbs: a `Body`'s. trunk, hands, feet: its `Landmarks`'. rest: by `rest_pose`.
     joints: (B, 3) and turns: (B, 3, 3), axes as rows, are to work with.
     """
     pelvis, chest, head = axes_at(axes[0]), axes_at(axes[1]), axes_at(axes[2])
@@ -211,7 +213,7 @@ def place(
         put_axes(turns[bone + 2], lowered((right, forward, cross(right, forward)), _FEET))
 
     for bone in range(len(joints)):
-        turn, parent = axes_at(turns[bone]), PARENTS[bone]
+        turn, parent = axes_at(turns[bone]), parents[bone]
         put_turn(rotations, bone, quaternion(turn))
         if parent >= 0:
             above = axes_at(turns[parent])

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from bridge.humanoid.body import Body
 from bridge.humanoid.bones import bone_sigma, place, rest_pose
 from bridge.humanoid.proportions import Measuring, Proportions
-from bridge.humanoid.skeleton import BONES, Posture
+from bridge.humanoid.skeleton import BONES, PARENTS, Posture
 from bridge.model import ModelInfo
 from bridge.pose import Pose, Provenance
 
@@ -68,6 +68,7 @@ class HumanoidSolver:
         )
         seen = body.seen
         place(
+            PARENTS,
             *(body.axes, seen.trunk, body.centre, body.limbs, seen.hands, seen.feet),
             *(self._rest, self._joints, self._turns),
             *(posture.joints, posture.rotations, posture.local),

@@ -6,12 +6,15 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from bridge.model import ModelInfo
 from bridge.pose import Pose
 from drivers.errors import MarkerbridgeError
 from drivers.frame import Floats, MarkerFrame
 from drivers.session_log import LineBytes, LineEvent
+
+if TYPE_CHECKING:
+    from bridge.model import ModelInfo
 
 Input = LineBytes | LineEvent | MarkerFrame  # what comes into a session
 

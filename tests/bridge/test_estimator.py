@@ -407,6 +407,12 @@ def test_frames_that_are_lost_on_the_way_take_their_time(network_model, whole_wa
             np.testing.assert_array_equal(pose.provenance, slow[i].provenance)
 
 
+def test_a_stream_without_markers_has_no_pose(model) -> None:
+    layout = Layout((), RATE)
+    pose = PoseEstimator(model).step(MarkerFrame(0, 0.0, 0.0, layout, np.zeros((0, 3), np.float32)))
+    assert (pose.provenance == Provenance.LOST).all()
+
+
 class Telling:
     """A regression that knows where a body is and how it moves, but for how far off it says that
     all is: (N, 3), metres, in the world.

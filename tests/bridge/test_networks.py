@@ -177,6 +177,13 @@ def test_a_spoilt_file_gives_an_error_or_what_can_be_read(tmp_path_factory, data
         onnx_file.constants(path)
 
 
+def test_a_number_without_an_end_is_refused_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "endless.onnx"
+    path.write_bytes(b"\xff" * 1_000_000)
+    with pytest.raises(ValueError, match="longer than any"):
+        onnx_file.constants(path)
+
+
 def test_no_index_is_outside_of_its_array() -> None:
     """Compiled code does not look; the same in plain Python does, and says the same."""
     said = []
