@@ -128,11 +128,6 @@ class BodyFrame:
         self._points[:] = xyz
         _learn(self._points, self.origins, self._axis, self.placement, self._configuration)
 
-    def at_origin(self, values: npt.NDArray[np.floating]) -> Array:
-        """(3,): of values of the tracked markers (T, 3), that of the origin."""
-        origin: Array = values[self.origins].mean(axis=0)
-        return origin
-
     def to_body(self, xyz: npt.NDArray[np.floating]) -> Floats:
         """World to body frame, (..., 3) metres."""
         return ((xyz - self.origin) @ self.rotation).astype(np.float32)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import select
+import signal
 import socket
 import struct
 import sys
@@ -20,6 +21,7 @@ MARK = b"none"
 
 
 def main() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # a shell's background jobs ignore it
     path, port, size, frame_size = sys.argv[1], *map(int, sys.argv[2:5])
     line = os.open(path, os.O_RDWR | os.O_NOCTTY)
     tty.setraw(line)

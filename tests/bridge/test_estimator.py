@@ -430,7 +430,7 @@ class Telling:
         index, body = len(self.heard) - 1, self._body
         body.update(self._truth[index, self._rows])
         moved = self._truth[index] - self._truth[max(index - 1, 0)]
-        moving = (moved - body.at_origin(moved[self._rows])) @ body.rotation * RATE
+        moving = (moved - moved[self._rows][body.origins].mean(axis=0)) @ body.rotation * RATE
         pose = body.to_body(self._truth[index] + self._off[index])
         return pose, np.full(41, 0.01, np.float32), moving.astype(np.float32)
 
@@ -471,7 +471,7 @@ def test_a_pose_goes_on_as_it_moves_and_comes_to_where_it_is_said_to_be(model, s
     for index in (60, 121, 200):
         body.place(xyz[index, at])
         moved = xyz[index, at] - xyz[index - 1, at]
-        expected = (moved - body.at_origin(moved)) @ body.rotation * RATE
+        expected = (moved - moved[body.origins].mean(axis=0)) @ body.rotation * RATE
         np.testing.assert_allclose(estimator.regression.heard[index], expected, atol=2e-4)
     assert not estimator.regression.heard[0].any()
 
