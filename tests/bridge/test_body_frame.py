@@ -258,7 +258,6 @@ def test_the_origin_goes_as_its_markers_go(construction, shift) -> None:
     random = np.random.default_rng(0)
     velocity = (random.normal(0, 1, wearer.body.shape) + np.array(shift)).astype(np.float32)
     before, after = wearer.placed(wearer.body), wearer.placed(wearer.body + velocity)
-    moved = before.at_origin(velocity)
+    moved = velocity[before.origins].mean(axis=0)
     assert moved.shape == (3,)
     np.testing.assert_allclose(moved, after.origin - before.origin, atol=1e-5)
-    np.testing.assert_allclose(before.at_origin(wearer.body), before.origin, atol=1e-6)
