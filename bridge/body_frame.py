@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from bridge.compiled import compiled
+from bridge.vectors import about_z, at, minus, plus, put, seen_in, times, turned
 from drivers.frame import Floats
 
 Array = npt.NDArray[np.float64]
@@ -209,20 +210,16 @@ def _place(
         placement[:3] = middle
         return 0.0
     # Where the markers that are there have the origin, in the mean.
-    cos, sin = math.cos(placement[3]), math.sin(placement[3])
-    total, mean = 0.0, np.zeros(3)
+    body = about_z(placement[3])
+    total, mean = 0.0, (0.0, 0.0, 0.0)
     for row in range(len(points)):
-        if math.isnan(points[row, 0]):
-            continue
-        x, y, z = configuration[row]
-        weight = weights[row]
-        total += weight
-        mean[0] += weight * (points[row, 0] - (cos * x - sin * y))
-        mean[1] += weight * (points[row, 1] - (sin * x + cos * y))
-        mean[2] += weight * (points[row, 2] - z)
+        if not math.isnan(points[row, 0]):
+            own = minus(at(points, row), turned(body, at(configuration, row)))
+            mean = plus(mean, times(weights[row], own))
+            total += weights[row]
     if total == 0.0:
         return math.inf
-    placement[:3] = mean / total
+    placement[0], placement[1], placement[2] = times(1.0 / total, mean)
     return 1.0 / math.sqrt(total)
 
 
@@ -237,10 +234,7 @@ def _learn(
     for row in axis:
         if math.isnan(points[row, 0]):
             return
-    cos, sin = math.cos(placement[3]), math.sin(placement[3])
+    body, origin = about_z(placement[3]), (placement[0], placement[1], placement[2])
     for row in range(len(points)):
         if not math.isnan(points[row, 0]):
-            x, y = points[row, 0] - placement[0], points[row, 1] - placement[1]
-            configuration[row, 0] = cos * x + sin * y
-            configuration[row, 1] = cos * y - sin * x
-            configuration[row, 2] = points[row, 2] - placement[2]
+            put(configuration, row, seen_in(body, minus(at(points, row), origin)))

@@ -30,8 +30,7 @@ class Cast:
         for session in self.sessions.values():
             session.backlog = self.backlog
         self._alone = next(iter(self.sessions.values())) if alone else None
-        # The layout, as it came, and where it has whom. In one piece: a reader records what
-        # overflows while the loop takes a frame of the layout before.
+        # The layout, as it came, and where it has whom.
         self._known: tuple[Layout | None, list[_Place]] = None, []
 
     def parts(self, frame: MarkerFrame) -> list[Part]:

@@ -17,6 +17,7 @@ from bridge.networks import CompiledNetworks
 from bridge.pose import Pose, Provenance
 from bridge.regression import Estimate, features_of, regression_of
 from bridge.smoothing import NoiseFilter
+from bridge.vectors import about_z, at, minus, plus, put, seen_in, times, turned
 from drivers.frame import Floats, Layout, MarkerFrame
 
 Array = npt.NDArray[np.float64]
@@ -128,7 +129,7 @@ class PoseEstimator:
     def step(self, frame: MarkerFrame) -> Pose:
         """The pose at a frame; with too few tracked markers the last one, and soon all lost."""
         held = self.begin(frame)
-        return held or self.finish(frame, self.regression.estimate(*self.asked))
+        return held or self.finish(frame, self.ask())
 
     def begin(self, frame: MarkerFrame) -> Pose | None:
         """The first half of a step: all tracked markers, wherever they come from, as `asked`.
@@ -158,6 +159,10 @@ class PoseEstimator:
             *(*self.asked, self._carried),
         )
         return None
+
+    def ask(self) -> Estimate:
+        """What the regression says of `asked`; the next call may overwrite it."""
+        return self.regression.estimate(*self.asked)
 
     def finish(self, frame: MarkerFrame, estimate: Estimate) -> Pose:
         """The second half: the pose in the world, by what the regression says of `asked`."""
@@ -271,7 +276,7 @@ class Jointly:
     def estimate(self, estimators: Sequence[PoseEstimator]) -> list[Estimate]:
         """What the regression says of what each of them asks; the next call may overwrite it."""
         if self._model.leaves or len(estimators) < 2:
-            return [one.regression.estimate(*one.asked) for one in estimators]
+            return [one.ask() for one in estimators]
         count = len(estimators)
         if count not in self._networks:
             self._networks[count] = self._model.networks(count)
@@ -306,21 +311,16 @@ def _into_body(
     """The markers (T, 3), shown elsewhere before, in the body frame, x, and their velocities
     against its origin's, v; and how the origin was carried along.
     """
-    carried[:] = 0.0
+    body, origin = about_z(placement[3]), (placement[0], placement[1], placement[2])
+    moved = (0.0, 0.0, 0.0)
     for row in origins:
-        for axis in range(3):
-            carried[axis] += (tracked[row, axis] - shown[row, axis]) / len(origins)
-    cos, sin = math.cos(placement[3]), math.sin(placement[3])
+        moved = plus(moved, times(1.0 / len(origins), minus(at(tracked, row), at(shown, row))))
+    carried[0], carried[1], carried[2] = moved
     for row in range(len(tracked)):
-        east, north = tracked[row, 0] - placement[0], tracked[row, 1] - placement[1]
-        x[row, 0] = cos * east + sin * north
-        x[row, 1] = cos * north - sin * east
-        x[row, 2] = tracked[row, 2] - placement[2]
-        east = (tracked[row, 0] - shown[row, 0] - carried[0]) / interval
-        north = (tracked[row, 1] - shown[row, 1] - carried[1]) / interval
-        v[row, 0] = cos * east + sin * north
-        v[row, 1] = cos * north - sin * east
-        v[row, 2] = (tracked[row, 2] - shown[row, 2] - carried[2]) / interval
+        place = at(tracked, row)
+        put(x, row, seen_in(body, minus(place, origin)))
+        own = minus(minus(place, at(shown, row)), moved)
+        put(v, row, seen_in(body, times(1.0 / interval, own)))
 
 
 @compiled(
@@ -342,20 +342,15 @@ def _into_world(
     that share on from the pose before, as the body is said to move: how it moves is known better
     than where it is. Of the tracked markers, `rows`, it is known.
     """
-    cos, sin = math.cos(placement[3]), math.sin(placement[3])
+    body, origin = about_z(placement[3]), (placement[0], placement[1], placement[2])
     for row in range(len(in_body)):
-        x, y, z = in_body[row]
+        place = at(in_body, row)
         if keeps > 0.0:
-            x += keeps * (moving[row, 0] * interval - x)
-            y += keeps * (moving[row, 1] * interval - y)
-            z += keeps * (moving[row, 2] * interval - z)
-        east, north, up = cos * x - sin * y, sin * x + cos * y, float(z)
-        if keeps > 0.0:
-            east += keeps * (before[row, 0] + carried[0] - placement[0])
-            north += keeps * (before[row, 1] + carried[1] - placement[1])
-            up += keeps * (before[row, 2] + carried[2] - placement[2])
-        world[row, 0] = east + placement[0]
-        world[row, 1] = north + placement[1]
-        world[row, 2] = up + placement[2]
+            way = minus(times(interval, at(moving, row)), place)
+            own = turned(body, plus(place, times(keeps, way)))
+            kept = minus(plus(at(before, row), (carried[0], carried[1], carried[2])), origin)
+            put(world, row, plus(plus(own, times(keeps, kept)), origin))
+        else:
+            put(world, row, plus(turned(body, place), origin))
     for marker, row in enumerate(rows):
         world[row] = tracked[marker]

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from bridge.body_frame import BodyFrame
 from bridge.compiled import compiled
 from bridge.regression import Regression, Sightings
+from bridge.vectors import about_z, at, minus, plus, put, seen_in, turned
 from drivers.frame import Floats
 
 Array = npt.NDArray[np.float64]
@@ -153,27 +154,18 @@ def _tell(
     pace: Floats,
 ) -> None:
     """The markers in the body frame, and the last sightings of those that are missing."""
-    cos, sin = math.cos(placement[3]), math.sin(placement[3])
+    body, origin = about_z(placement[3]), (placement[0], placement[1], placement[2])
     for row in range(len(measured)):
-        x, y = measured[row, 0] - placement[0], measured[row, 1] - placement[1]
-        tracked[row, 0] = cos * x + sin * y
-        tracked[row, 1] = cos * y - sin * x
-        tracked[row, 2] = measured[row, 2] - placement[2]
+        put(tracked, row, seen_in(body, minus(at(measured, row), origin)))
     for one in range(len(missing)):
         marker = missing[one]
         then[one] = thens[marker]
         for row in range(len(measured)):
-            place, moving = places[marker, row], paces[marker, row]
-            if math.isnan(place[0]):  # never seen anywhere
+            if math.isnan(places[marker, row, 0]):  # never seen anywhere
                 left[one, row] = then[one, row]
             else:
-                x, y = place[0] - placement[0], place[1] - placement[1]
-                left[one, row, 0] = cos * x + sin * y
-                left[one, row, 1] = cos * y - sin * x
-                left[one, row, 2] = place[2] - placement[2]
-            pace[one, row, 0] = cos * moving[0] + sin * moving[1]
-            pace[one, row, 1] = cos * moving[1] - sin * moving[0]
-            pace[one, row, 2] = moving[2]
+                put(left[one], row, seen_in(body, minus(at(places[marker], row), origin)))
+            put(pace[one], row, seen_in(body, at(paces[marker], row)))
 
 
 @compiled("void(f4[:,:,:], f4[:,:], f8[::1], i8[::1], f4[:,::1], f4[::1])")
@@ -181,13 +173,10 @@ def _take_over(
     said: Floats, deviation: Floats, placement: Array, missing: Rows, found: Floats, sigma: Floats
 ) -> None:
     """Puts each missing marker where it is said to be, in the world, by its own last sighting."""
-    cos, sin = math.cos(placement[3]), math.sin(placement[3])
+    body, origin = about_z(placement[3]), (placement[0], placement[1], placement[2])
     for one in range(len(missing)):
         marker = missing[one]
-        x, y, z = said[one, marker]
-        found[marker, 0] = cos * x - sin * y + placement[0]
-        found[marker, 1] = sin * x + cos * y + placement[1]
-        found[marker, 2] = z + placement[2]
+        put(found, marker, plus(turned(body, at(said[one], marker)), origin))
         sigma[marker] = deviation[one, marker]
 
 

@@ -14,7 +14,7 @@ from bridge.pose import Pose
 from bridge.regression import Estimate
 from bridge.rehearsal import Rehearsal
 from bridge.sinks.outlet import COUNTED, Outlet, Tap
-from bridge.sinks.sink import Sink, SinkContext, SinkError
+from bridge.sinks.sink import Sink, SinkContext, close_all
 from bridge.statistics import Ages, Hop, MarkerStatus, Mean, Presence
 from bridge.truth import Truth, rms_mm
 from drivers.clock import SYSTEM_CLOCK, Clock
@@ -138,7 +138,7 @@ class Session:
         held = self.begin(frame)
         if held is not None:
             return held
-        return self.finish(frame, self.estimator.regression.estimate(*self.estimator.asked))
+        return self.finish(frame, self.estimator.ask())
 
     def begin(self, frame: MarkerFrame) -> Pose | None:
         """The first half of `handle`, up to what the estimator asks its regression; where it has
@@ -194,14 +194,7 @@ class Session:
         self.source.close()
         if self._truth:
             self._truth.source.close()
-        errors = []
-        for outlet in self.outlets:
-            try:
-                outlet.close()
-            except SinkError as error:
-                errors.append(error)
-        if errors:
-            raise errors[0]
+        close_all(self.outlets)
 
     @property
     def last_truth(self) -> Floats | None:

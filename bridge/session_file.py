@@ -31,6 +31,7 @@ from bridge.status_server import Endpoint, parse_endpoint
 from bridge.terminal import LINE_EVERY
 from bridge.watch import LOG_EVERY
 from drivers.errors import UsageError
+from drivers.performers import parse_name, parse_names
 from drivers.toml_lines import line_of
 from drivers.url import Url, UrlError
 
@@ -234,9 +235,9 @@ class SessionPlan(BaseModel):
 def _role(address: str, keys: tuple[str | int, ...], *, several: bool) -> Role:
     """Who is in a source. Raises UrlError."""
     url = Url.parse(address)
-    alone = url.take("performer", "", _performer)
+    alone = url.take("performer", "", parse_name)
     nobody: tuple[str, ...] = ()
-    together = url.take("performers", nobody, _performers)
+    together = url.take("performers", nobody, parse_names)
     if alone and together:
         raise UrlError(f"'{address}': performer and performers: one of the two")
     if several and not (alone or together):
@@ -246,21 +247,6 @@ def _role(address: str, keys: tuple[str | int, ...], *, several: bool) -> Role:
         )
     bare = Url.parse(address).without("performer", "performers").text
     return Role(bare, together or (alone,), not together, keys)
-
-
-def _performer(text: str) -> str:
-    if not re.fullmatch(r"[A-Za-z0-9_-]{1,32}", text):
-        raise ValueError("a name is letters, digits, - and _, 32 at most")
-    if re.search(r"-\d+$", text):  # take-ann-2.c3d is how ann's recording goes on
-        raise ValueError("a name does not end with - and a number: that is part of a recording")
-    return text
-
-
-def _performers(text: str) -> tuple[str, ...]:
-    names = tuple(map(_performer, text.split(",")))
-    if len(set(names)) < len(names):
-        raise ValueError("a performer is named twice")
-    return names
 
 
 def plan_session(values: Mapping[str, Any], origin: Origin | None = None) -> SessionPlan:

@@ -19,7 +19,7 @@ from typing import TypeVar
 from bridge.cast import Cast
 from bridge.estimator import Jointly
 from bridge.session import Session, Status
-from bridge.sinks.sink import SinkError
+from bridge.sinks.sink import close_all
 from bridge.statistics import Ages
 from drivers.clock import SYSTEM_CLOCK, Clock
 from drivers.frame import MarkerFrame
@@ -93,14 +93,7 @@ class Stage:
 
         Raises SinkError where a recording could not be saved, after all else is closed.
         """
-        errors = []
-        for session in self.sessions.values():
-            try:
-                session.close()
-            except SinkError as error:
-                errors.append(error)
-        if errors:
-            raise errors[0]
+        close_all(self.sessions.values())
 
     def status(self) -> Status:
         """What all of it has done so far. Of several performers, the worst of each: the rate that
@@ -123,10 +116,6 @@ class Stage:
         """Takes the oldest waiting frame through: those in it who ask the model do so together."""
         with self._taking:
             parts = cast.parts(cast.backlog.frames.popleft())
-            if len(parts) == 1:
-                session, frame = parts[0]
-                session.handle(frame)
-                return
             asking = [(session, frame) for session, frame in parts if session.begin(frame) is None]
             estimates = self._jointly.estimate([session.estimator for session, _ in asking])
             for (session, frame), estimate in zip(asking, estimates, strict=True):

@@ -100,6 +100,13 @@ def across(a: Vector, along: Vector) -> Vector:
 
 
 @inlined
+def about_z(yaw: float) -> Axes:
+    """The rotation about z."""
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    return (cos, sin, 0.0), (-sin, cos, 0.0), (0.0, 0.0, 1.0)
+
+
+@inlined
 def turned(turn: Axes, a: Vector) -> Vector:
     """A vector turned by a rotation."""
     return plus(plus(times(a[0], turn[0]), times(a[1], turn[1])), times(a[2], turn[2]))

@@ -17,6 +17,7 @@ from drivers.errors import UsageError
 from drivers.frame import Floats, Layout
 from drivers.marker_set import MARKERS
 from drivers.options import checked, positive
+from drivers.performers import labels_of, parse_names
 from drivers.signals import stopping
 from drivers.url import Url
 from drivers.wire.codec import Decoder, Encoder
@@ -29,7 +30,7 @@ from simulators.faults.chain import FaultChain
 from simulators.faults.plan import FaultPlan, read_plan
 from simulators.lines import PtyLine, UdpLine
 from simulators.performer import load_performer
-from simulators.several import labels_of, parse_names, side_by_side
+from simulators.several import side_by_side
 
 _APART = 0.05  # m between the markers by which names are told
 _SEVERAL = 8  # frames after which a host has learnt the names of a wire

@@ -2,29 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from drivers.frame import Floats, Layout
+from drivers.performers import labels_of
 
 APART = 1.5  # m, to the side, from one to the next
-
-
-def parse_names(text: str) -> tuple[str, ...]:
-    """`ann,bob`. Raises ValueError."""
-    names = tuple(text.split(","))
-    if any(not re.fullmatch(r"[A-Za-z0-9_-]{1,32}", name) for name in names):
-        raise ValueError(f"'{text}' are no names: letters, digits, - and _, as ann,bob")
-    if len(set(names)) < len(names):
-        raise ValueError("a performer is named twice")
-    return names
-
-
-def labels_of(labels: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
-    """The labels of one, for each of them in turn."""
-    return tuple(f"{name}:{label}" for name in names for label in labels)
 
 
 def side_by_side(

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from bridge.pose import Pose
 from drivers.errors import MarkerbridgeError
@@ -78,3 +78,21 @@ class Sink(ABC):
     @abstractmethod
     def close(self) -> None:
         """Ends and saves; a second call does nothing."""
+
+
+class Closable(Protocol):
+    """What `close_all` closes."""
+
+    def close(self) -> None: ...
+
+
+def close_all(things: Iterable[Closable]) -> None:
+    """Closes all of them. Raises the first SinkError, after all else is closed."""
+    errors = []
+    for thing in things:
+        try:
+            thing.close()
+        except SinkError as error:
+            errors.append(error)
+    if errors:
+        raise errors[0]

@@ -20,10 +20,11 @@ from contextlib import ExitStack, closing, contextmanager
 import numpy as np
 
 from drivers.frame import Layout
+from drivers.performers import labels_of
 from drivers.wire.osc_native import NativeOscEncoder
 from simulators.corruption import Corruption, Faults
 from simulators.performer import load_performer
-from simulators.several import APART, labels_of
+from simulators.several import APART
 from tests.benchmarks.datagrams import Times
 from tests.benchmarks.machine import cpu_seconds, memory
 from tests.benchmarks.rig import (

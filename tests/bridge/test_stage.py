@@ -24,12 +24,12 @@ from drivers.clock import SYSTEM_CLOCK, VirtualClock
 from drivers.convention import Convention
 from drivers.errors import UsageError
 from drivers.frame import Floats, Layout, MarkerFrame, Source, SourceError
+from drivers.performers import labels_of
 from drivers.transport import memory_line
 from drivers.wire.cobs import CobsDecoder, CobsEncoder
 from drivers.wire.osc import messages
 from drivers.wire_source import WireSource
 from simulators.performer import Walker
-from simulators.several import labels_of
 from tests.end_to_end.peers import Receiver, free_port, listening, running, wait_for
 
 MODEL = Model("default")
